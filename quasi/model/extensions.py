@@ -4,9 +4,10 @@ A flight is recorded and filtered with the configured constants. An extended mod
 recording is corrected by the constants of the extensions.
 """
 
+import itertools
 import math
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -17,10 +18,11 @@ from quasi.model.columns import ROTORS
 from quasi.model.commands import map_of
 from quasi.model.model import Model
 from quasi.tables import TELEMETRY_AGE_REMOVED
-from quasi.terms.rotor_map import COMMANDED, RAW, SHARES, speed_exponent
+from quasi.terms.rotor_map import COMMANDED, RAW, SHARES, lagged, speed_exponent
 
 # keys of a model's document: mass, kg, and inertia, kg m2, with which its flights were processed
 CONFIGURED_MASS_KEY, CONFIGURED_INERTIA_KEY = "configured mass", "configured inertia"
+GAP_STEPS = 1.5  # usual steps in time, beyond which rows are missing
 _LAGS = ("time constants", "time constants up", "time constants down")
 _ROTOR_CONSTANTS = (
     "time constant",
@@ -153,35 +155,70 @@ def are_estimated(columns: Mapping[str, np.ndarray] | pd.DataFrame) -> bool:
     return any(f"{name}{RAW}" in columns for name in (SHARES[0], COMMANDED[0]))
 
 
-def voltage_of_map(model: Model) -> tuple[float, float | None]:
-    """Voltage exponent of the speed by the extensions minus that by the model's map; reference V or None."""
+class OfMap(NamedTuple):
+    """What extensions change of the map that speeds are estimated by.
+
+    exponent  of the voltage, beyond that of the map; reference  V of the map, None without; before, after  time
+    constants, s, with which the speeds were estimated and should have been
+    """
+
+    exponent: float = 0.0
+    reference: float | None = None
+    before: float = 0.0
+    after: float = 0.0
+
+    def beyond(self, base: "OfMap") -> "OfMap":
+        """What is changed of speeds that are put right by what `base` changes already."""
+        return OfMap(self.exponent - base.exponent, self.reference, base.after, self.after)
+
+
+def changes_of_map(model: Model) -> OfMap:
+    """Read what the extensions of a model change of its map from commands to speeds."""
     drive, found = map_of(model.document), read_rotor_constants(model)
     if drive is None:
-        return 0.0, None
-    own = speed_exponent(drive)
-    return found.get("voltage exponent", own) - own, drive["reference voltage"] or found.get("reference voltage")
+        return OfMap()
+    own, lag = speed_exponent(drive), drive["time constant"]["value"]
+    reference = drive["reference voltage"] or found.get("reference voltage")
+    return OfMap(found.get("voltage exponent", own) - own, reference, lag, found.get("time constant", lag))
 
 
-def correct_estimated_speeds(
-    columns: Mapping[str, np.ndarray], exponent: float, reference: float | None
-) -> dict[str, np.ndarray]:
-    """Correct rotor speeds estimated from commands for another voltage exponent of the map; measured ones stay.
+def correct_estimated_speeds(columns: Mapping[str, np.ndarray], of: OfMap) -> dict[str, np.ndarray]:
+    """Correct rotor speeds estimated from commands for another map; measured ones stay.
 
-    exponent  beyond that of the map, see `voltage_of_map`. A voltage that is not positive leaves the speed.
+    A voltage that is not positive leaves the speed.
     """
     result = dict(columns)
-    if exponent and reference and "battery_voltage" in columns and are_estimated(columns):
-        ratio = np.asarray(columns["battery_voltage"], float) / reference
-        factor = np.where(ratio > 0.0, ratio, 1.0) ** exponent
+    if not are_estimated(columns):
+        return result
+    if of.exponent and of.reference and "battery_voltage" in columns:
+        ratio = np.asarray(columns["battery_voltage"], float) / of.reference
+        factor = np.where(ratio > 0.0, ratio, 1.0) ** of.exponent
         names = [name for rotor in ROTORS for name in (rotor, f"{rotor}_dot") if name in columns]
         result |= {name: np.asarray(columns[name], float) * factor for name in names}
+    if of.after != of.before:
+        speeds, slopes = (
+            np.stack([np.asarray(result[f"{w}{d}"], float) for w in ROTORS], axis=1) for d in ("", "_dot")
+        )
+        wanted = speeds + of.before * slopes  # what the lag made the speeds of
+        turned = _lagged_again(np.asarray(columns["t"], float), wanted, of.after)
+        result |= dict(zip(ROTORS, turned.T))
+        result |= {f"{w}_dot": slope for w, slope in zip(ROTORS, ((wanted - turned) / of.after).T)}
     return result
+
+
+def _lagged_again(t: np.ndarray, wanted: np.ndarray, lag: float) -> np.ndarray:
+    """What follows wanted (n, R) with a first-order lag, s, each stretch without missing rows or values by itself."""
+    steps, known = np.diff(t), np.isfinite(wanted).all(axis=1)
+    usual = float(np.median(steps))
+    apart = (steps > GAP_STEPS * usual) | (known[1:] != known[:-1])
+    edges = [0, *(np.flatnonzero(apart) + 1).tolist(), len(t)]
+    return np.concatenate([lagged(wanted[a:b], usual, lag, 0.0) for a, b in itertools.pairwise(edges)])
 
 
 def correct_columns(model: Model, columns: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
     """Correct a flight's columns by the model's constants: true rotor speeds, and velocity through the air."""
     result = correct_rotor_speeds(columns, *telemetry_of(model))
-    result = correct_estimated_speeds(result, *voltage_of_map(model))
+    result = correct_estimated_speeds(result, changes_of_map(model))
     wind = wind_of(model)
     if wind.any():
         quaternion = attitude.from_euler(*(columns[c] for c in ("roll", "pitch", "yaw")))

@@ -15,6 +15,7 @@ from quasi.gap.flights.evidence import Evidence, model_wrench
 from quasi.gap.flights.inflow import overshoot
 from quasi.gap.flights.pendulum import pull_of
 from quasi.model.extensions import (
+    changes_of_map,
     compute_flight_inertia,
     compute_flight_mass,
     configured_mass,
@@ -22,7 +23,6 @@ from quasi.model.extensions import (
     correct_rotor_speeds,
     shift_of,
     telemetry_of,
-    voltage_of_map,
     wind_of,
 )
 from quasi.model.model import Model
@@ -50,8 +50,7 @@ def shown(extended: Model, base: Model, flight: Evidence) -> np.ndarray:
     """
     (late, scale), (known, factor) = telemetry_of(extended), telemetry_of(base)
     columns = correct_rotor_speeds(flight.columns, late - known, scale / factor)
-    (exponent, volts), (before, _) = voltage_of_map(extended), voltage_of_map(base)
-    columns = correct_estimated_speeds(columns, exponent - before, volts)
+    columns = correct_estimated_speeds(columns, changes_of_map(extended).beyond(changes_of_map(base)))
     wind = wind_of(extended) - wind_of(base)
     if wind.any():
         along = attitude.rotate_inverse(flight.quaternion, wind)

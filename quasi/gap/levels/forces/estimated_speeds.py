@@ -16,11 +16,12 @@ from quasi.gap.flights.instruments import reread
 from quasi.model.columns import ROTORS
 from quasi.model.commands import map_of
 from quasi.model.extensions import (
+    OfMap,
     are_estimated,
+    changes_of_map,
     correct_estimated_speeds,
     correct_rotor_speeds,
     drive_of,
-    voltage_of_map,
 )
 from quasi.model.model import Model
 from quasi.terms.rotor_map import speed_exponent
@@ -30,6 +31,7 @@ OF_TELEMETRY = (SCALE, "telemetry_delay")  # causes of measured speeds alone
 NO_TELEMETRY = "no flight logs rotor speeds; those estimated from commands have no unit and no delay of a telemetry"
 # causes of rotors that follow late: the constant of the model that each changes, its parameter
 LATE_OF_FORCES = {"motor_lag": ("time constants", "time_constant"), "command_delay": ("delay", "delay")}
+LAG_STARTS, LEAST_SHARE = (-0.4, 0.4, 1.0), 0.1  # changes of the model's own lag that are tried; the least lag
 LAG_OF_AIR = "inflow_lag"  # thrust that leads the rotor speed, as it does where rotors are faster than the map says
 OF_THRUST = ("thrust_factor", "thrust_curve", "thrust_drift")  # of all rotors alike, at the same speed
 SPEED_LEVELS = (0.5, 2.0)  # of speed at the same command: beyond it lies another motor
@@ -62,7 +64,7 @@ def with_estimated_speeds(
             found[name] = late_of_forces(found[name], model, key, parameter, [n for n in LATE_OF_FORCES if n != name])
     if LAG_OF_AIR in found:
         found[LAG_OF_AIR] = replace(found[LAG_OF_AIR], always_tied_with=tuple(n for n in LATE_OF_FORCES if n in found))
-    reference = voltage_of_map(model)[1]
+    reference = changes_of_map(model).reference
     if SAG in found:
         if reference and all("battery_voltage" in e.columns for e in flights):
             found[SAG] = sag_of_forces(found[SAG], model, reference)
@@ -89,33 +91,46 @@ def add_battery(ties: list[dict[str, Any]], effects: Mapping[str, Effect]) -> li
 def late_of_forces(effect: Effect, model: Model, key: str, parameter: str, tied: Sequence[str]) -> Effect:
     """A lag or delay of the rotors beyond the model's as speeds that are estimated too early.
 
-    W(t) = W_map(t - d), to first order for a lag. The extension's negative delay of recorded speeds holds d where
-    flights are compared; its time constant or delay holds it where commands drive a simulation.
+    A delay moves the estimated speeds in time, and the extension's negative delay of recorded speeds holds it where
+    flights are compared. A lag makes them anew, see `correct_estimated_speeds`; it is looked for by the whole effect
+    of some times the model's own, for commands that chatter are damped by it.
     key  of the model's actuators; parameter  of the cause; tied  ids that look the same
     """
     held = (drive_of(model.document).get(key) or {}).get("value", 0.0)
     own = float(np.mean(held))
     about = effect.parameters[parameter]
     is_delay = about.neutral is not None
+    common: dict[str, Any] = {
+        "level": "forces",
+        "parameters": {parameter: about if is_delay else about._replace(neutral=own, low=min(about.low, own))},
+        "channels": ("Fz", "Mx", "My", "Mz"),
+        "rivals": ("inflow_lag", "rotor_acceleration_torque"),
+        "always_tied_with": tuple(tied),
+        "absorbed_by_model": True,
+    }
 
     def columns(evidence: Evidence, _: Values) -> dict[str, np.ndarray]:
         return {parameter: -np.einsum("nij,nj->ni", evidence.gradient(*ROTORS), evidence.spin_up)}
 
-    def extension(values: Values, _: Vehicle, __: Model) -> Extension:
-        name = "delay" if is_delay else "time constant"
-        return Extension(actuators={"telemetry delay": -values[parameter], name: own + values[parameter]})
+    if is_delay:
 
-    return replace(
-        effect,
-        level="forces",
-        parameters={parameter: about if is_delay else about._replace(neutral=own, low=min(about.low, own))},
-        channels=("Fz", "Mx", "My", "Mz"),
-        rivals=("inflow_lag", "rotor_acceleration_torque"),
-        always_tied_with=tuple(tied),
-        columns=columns,
-        extension=extension,
-        absorbed_by_model=True,
-    )
+        def later(values: Values, _: Vehicle, __: Model) -> Extension:
+            return Extension(actuators={"telemetry delay": -values[parameter], "delay": own + values[parameter]})
+
+        return replace(effect, columns=columns, extension=later, **common)
+
+    def full(evidence: Evidence, _: Vehicle, values: Values) -> np.ndarray:
+        lag = max(own + values[parameter], LEAST_SHARE * own)
+        turned = correct_estimated_speeds(evidence.columns, OfMap(before=own, after=lag))
+        return reread(evidence, {n: turned[n] for n in (*ROTORS, *(f"{w}_dot" for w in ROTORS))}).predicted - (
+            evidence.predicted
+        )
+
+    def slower(values: Values, _: Vehicle, __: Model) -> Extension:
+        return Extension(actuators={"time constant": max(own + values[parameter], LEAST_SHARE * own)})
+
+    starts = tuple(share * own for share in LAG_STARTS)
+    return replace(effect, columns=columns, full_effect=full, extension=slower, starts=starts, **common)
 
 
 def sag_of_forces(effect: Effect, model: Model, reference: float) -> Effect:
@@ -126,7 +141,7 @@ def sag_of_forces(effect: Effect, model: Model, reference: float) -> Effect:
     that reference flights have an exponent of their own: flown with fuller batteries, they may not know the map's.
     reference  V at which the map's voltage factor is 1
     """
-    own = speed_exponent(map_of(model.document)) + voltage_of_map(model)[0]
+    own = speed_exponent(map_of(model.document)) + changes_of_map(model).exponent
 
     def columns(evidence: Evidence, _: Values) -> dict[str, np.ndarray]:
         ratio = np.maximum(evidence.take("battery_voltage")[:, 0], MIN_RATIO * reference) / reference
@@ -136,7 +151,7 @@ def sag_of_forces(effect: Effect, model: Model, reference: float) -> Effect:
 
     def corrected(evidence: Evidence, values: Values) -> Evidence:
         turned = correct_rotor_speeds(evidence.columns, 0.0, 1.0 / (1.0 + values["level"]))
-        turned = correct_estimated_speeds(turned, values["exponent"], reference)
+        turned = correct_estimated_speeds(turned, OfMap(values["exponent"], reference))
         return reread(evidence, {n: turned[n] for n in (*ROTORS, *(f"{w}_dot" for w in ROTORS)) if n in turned})
 
     def full(evidence: Evidence, _: Vehicle, values: Values) -> np.ndarray:

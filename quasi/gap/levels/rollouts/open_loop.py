@@ -12,12 +12,12 @@ from quasi.gap.statistics import blocks
 from quasi.model.columns import ROTORS
 from quasi.model.extensions import (
     are_estimated,
+    changes_of_map,
     compute_flight_inertia,
     compute_flight_mass,
     correct_estimated_speeds,
     drive_of,
     shift_of,
-    voltage_of_map,
     wind_of,
 )
 from quasi.model.model import Model
@@ -125,10 +125,9 @@ def simulated(
         states[:, 3:6] += np.cross(states[:, 6:9], shift)
         states[:, 9:] += rotate(from_euler(*states[:, :3].T), shift)
     driven = (commands, rotors, air, extra or None, offsets)
-    exponent, volts = voltage_of_map(model)
-    speeds = flight.speeds
-    if exponent and are_estimated(flight.table):
-        corrected = correct_estimated_speeds({n: flight.table[n] for n in flight.table}, exponent, volts)
+    changed, speeds = changes_of_map(model), flight.speeds
+    if changed != changed.beyond(changed) and are_estimated(flight.table):
+        corrected = correct_estimated_speeds({n: flight.table[n] for n in flight.table}, changed)
         speeds = np.nan_to_num(np.stack([corrected[n] for n in ROTORS], axis=1))
     run = to_euler_states(
         replay(model, flight.t, states, speeds, starts, horizon, *driven, floor=0.0, mass=mass, inertia=inertia)
