@@ -18,6 +18,7 @@ from quasi.gap.statistics.mixed import Candidate
 from quasi.model.commands import extended_map, rotor_speeds
 from quasi.model.extensions import correct_columns
 from quasi.model.model import Model
+from quasi.terms.rotor_map import lagged
 from quasi_synthesis.campaign import quadrotor_configuration, read_campaign
 
 ROWS, EXPONENT, REFERENCE = 300, 0.9, 16.0
@@ -201,12 +202,13 @@ def test_a_model_that_is_extended_already_is_asked_beyond_it(ground):
     assert further.parameters["exponent"].neutral == pytest.approx(EXPONENT + 0.3)
 
 
-@pytest.mark.parametrize("cause", ["motor_lag", "command_delay"])
-def test_rotors_that_follow_late_act_before_their_estimated_speeds(ground, cause):
-    """A lag and a delay beyond the model's look the same in forces and moments, and are a tie."""
-    model = Model(
-        ground.document | {"actuators": {"time constants": {"value": [0.026] * 4}, "delay": {"value": 0.001}}}
-    )
+def late_model(ground):
+    return Model(ground.document | {"actuators": {"time constants": {"value": [0.026] * 4}, "delay": {"value": 0.001}}})
+
+
+def test_commands_that_arrive_late_act_before_the_estimated_speeds(ground):
+    """A lag and a delay beyond the model's look much the same in forces and moments, and are a tie."""
+    model = late_model(ground)
     plain = evidence_of(model)
     # speeds are read linearly between samples: slopes of the interval before each one
     dots = np.diff(plain.speeds, axis=0, prepend=plain.speeds[:1]) / np.diff(plain.columns["t"]).mean()
@@ -216,14 +218,47 @@ def test_rotors_that_follow_late_act_before_their_estimated_speeds(ground, cause
     true = np.hstack(model.predict(state, plain.speeds - late * dots))
     evidence = dataclasses.replace(plain, columns=columns, measured=true)
     effects, vehicle = with_estimated_speeds(catalogue(), model, [evidence])[0], vehicle_of(model, 0.433)
-    effect = effects[cause]
-    other = ({"motor_lag", "command_delay"} - {cause}).pop()
-    assert (effect.level, effect.always_tied_with) == ("forces", (other,))
-    (name,) = effect.parameters
-    column = columns_of(effect, evidence, vehicle, {name: 0.0})[name]
+    effect = effects["command_delay"]
+    assert (effect.level, effect.always_tied_with) == ("forces", ("motor_lag",))
+    column = columns_of(effect, evidence, vehicle, {"delay": 0.0})["delay"]
     left = evidence.residual
     np.testing.assert_allclose(column * late, left, rtol=2e-2, atol=2e-3 * np.abs(left).max())
-    extended = Model(extend(model, [(effect, {name: late})], vehicle, "more", "test"))
+    extended = Model(extend(model, [(effect, {"delay": late})], vehicle, "more", "test"))
     np.testing.assert_allclose(shown(extended, model, evidence), true, atol=1e-9)
-    key, known = ("time constant", 0.026) if cause == "motor_lag" else ("delay", 0.001)
-    assert extended_map(extended.document)[key]["value"] == pytest.approx(known + late)
+    assert extended_map(extended.document)["delay"]["value"] == pytest.approx(0.001 + late)
+
+
+@pytest.mark.parametrize("lag", [0.012, 0.02, 0.04, 0.08])
+def test_rotors_that_follow_slower_make_what_another_lag_makes_of_the_commands(ground, lag):
+    """Commands that chatter are damped by a lag and not by a delay: a shift in time would leave most of it."""
+    model, plain = late_model(ground), evidence_of(ground)
+    t, fine = plain.columns["t"], np.arange(-0.5, ROWS * 0.01, 0.0005)
+    rng = np.random.default_rng(8)
+    tones = [(f, rng.uniform(0, 6.28, 4)) for f in (0.3, 0.9, 2.1, 4.3, 7.7, 12.1)]
+    wanted = 2100.0 + 80.0 * sum(np.sin(6.2832 * f * fine[:, None] + phase) for f, phase in tones)
+
+    def logged(speeds):
+        slopes = np.gradient(speeds, fine, axis=0)
+        at = [np.stack([np.interp(t, fine, c) for c in x.T], axis=1) for x in (speeds, slopes)]
+        return {f"w{i + 1}{d}": x[:, i] for d, x in zip(("", "_dot"), at) for i in range(4)}
+
+    state = np.stack([plain.columns[a] for a in ("roll", "pitch", "yaw", "u", "v", "w", "p", "q", "r")], axis=1)
+    estimated, true = (logged(lagged(wanted, 0.0005, tau, 0.0)) for tau in (0.026, lag))
+    predicted, measured = (
+        np.hstack(model.predict(state, np.stack([c[f"w{i}"] for i in range(1, 5)], axis=1))) for c in (estimated, true)
+    )
+    evidence = dataclasses.replace(
+        plain, model=model, columns={**plain.columns, **estimated}, predicted=predicted, measured=measured
+    )
+    effects, vehicle = with_estimated_speeds(catalogue(), model, [evidence])[0], vehicle_of(model, 0.433)
+    effect, settled = effects["motor_lag"], slice(50, None)
+    assert (effect.level, effect.always_tied_with) == ("forces", ("command_delay",))
+    whole, left = whole_of(effect, evidence, vehicle, {"time_constant": lag - 0.026}), evidence.residual
+    extended = Model(extend(model, [(effect, {"time_constant": lag - 0.026})], vehicle, "more", "test"))
+    rest = (whole - left, shown(extended, model, evidence) - measured)
+    for k in (2, 3, 4):
+        for part in rest:
+            assert np.std(part[settled, k]) < 0.15 * np.std(left[settled, k])
+    slope = columns_of(effect, evidence, vehicle, {"time_constant": 0.0})["time_constant"] * (lag - 0.026)
+    assert np.std((slope - left)[settled, 2]) > np.std(rest[0][settled, 2])
+    assert extended_map(extended.document)["time constant"]["value"] == pytest.approx(lag)

@@ -96,10 +96,10 @@ def late_of_forces(effect: Effect, model: Model, key: str, parameter: str, tied:
     of some times the model's own, for commands that chatter are damped by it.
     key  of the model's actuators; parameter  of the cause; tied  ids that look the same
     """
-    held = (drive_of(model.document).get(key) or {}).get("value", 0.0)
-    own = float(np.mean(held))
     about = effect.parameters[parameter]
     is_delay = about.neutral is not None
+    held = (drive_of(model.document).get(key) or {}).get("value", 0.0)
+    own = float(np.mean(held)) if is_delay else changes_of_map(model).after
     common: dict[str, Any] = {
         "level": "forces",
         "parameters": {parameter: about if is_delay else about._replace(neutral=own, low=min(about.low, own))},
