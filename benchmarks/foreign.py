@@ -1,7 +1,7 @@
 """Flights of foreign simulators: does a gap name the one parameter that was changed in them, and nothing else?
 
     python benchmarks/foreign.py PLACE OUT [--simulators rotorpy mujoco] [--cases mass ...] [--seeds 1 2] [--record]
-                                 [--commands-only]
+                                 [--without speeds accelerometer gyro]
 
 PLACE is a folder with the simulators (`pip install --target PLACE --no-deps rotorpy mujoco`), which are no dependency
 of quasi. For each simulator and seed, OUT holds one project folder, as a lab would have it: four reference flights,
@@ -9,7 +9,8 @@ and five flights per case, two of them held out. Each case changes one parameter
 when the logs are written. The workflow imports, filters, identifies and compares. Flights and results stay in OUT, so
 that a second run makes only what is missing.
 
---commands-only diagnoses the same logs without their rotor speeds, in their own project folders. Nothing is recorded.
+--without diagnoses the same logs without rotor speeds, accelerometer or gyro, in their own project folders. Nothing is
+recorded.
 """
 
 import argparse
