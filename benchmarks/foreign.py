@@ -21,7 +21,7 @@ import re
 import subprocess
 import sys
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -38,6 +38,7 @@ from quasi.terms.rotor_map import SPEEDS
 
 ROOT = Path(__file__).resolve().parents[1]
 REFERENCES, COMPARED, HELD_OUT = 4, 5, 2
+SIGNALS = {"speeds": SPEEDS, "accelerometer": ("ax", "ay", "az"), "gyro": ("p", "q", "r")}
 COLUMNS = (
     "Flight key,Quadrotor,Flight controller,Mass,Batteries,Drone Config File,Drone Config Path,Onboard Name,OB Path,"
     "Has OT data,Raw OptiTrack Name,Raw OT Path,Rigid Body Name"
@@ -218,8 +219,10 @@ def flown(path: Path, module: Any, seed: int, case: Case) -> Motion:
     return motion
 
 
-def write_project(folder: Path, simulator: str, seed: int, cases: Mapping[str, Case], telemetry: bool = True) -> None:
-    """Flights, logbook, quadrotor and the configurations of processing, model and gaps; telemetry  speeds are read."""
+def write_project(
+    folder: Path, simulator: str, seed: int, cases: Mapping[str, Case], lacking: Sequence[str] = ()
+) -> None:
+    """Flights, logbook, quadrotor and the configurations of processing, model and gaps; lacking  what is not read."""
     vehicle: Vehicle = importlib.import_module(f"foreign_{simulator}").vehicle()
     numbers = list(SIMULATORS[simulator]())
     keys = [f"reference-{i + 1}" for i in range(REFERENCES)]
@@ -241,8 +244,9 @@ def write_project(folder: Path, simulator: str, seed: int, cases: Mapping[str, C
     flown = {"directory": "data", "filename": "logbook"}
     references = list(range(2, 2 + REFERENCES))
     document = vehicle.document()
-    for source in [] if telemetry else document["table columns"]["sources"]:
-        source["columns"] = {k: c for k, c in source["columns"].items() if k not in SPEEDS}
+    gone = {name for what in lacking for name in SIGNALS[what]}
+    for source in document["table columns"]["sources"]:
+        source["columns"] = {k: c for k, c in source["columns"].items() if k not in gone}
     documents: dict[str, Any] = {
         "data/vehicle.json": document,
         "config/processing.json": {"logging file": {**flown, "rows of flights to use (all)": [f"2-{len(keys) + 1}"]}},
@@ -384,10 +388,10 @@ def main() -> None:
     parser.add_argument("--cases", nargs="*", default=[], help="parts of names; all without")
     parser.add_argument("--seeds", nargs="*", type=int, default=[1])
     parser.add_argument("--record", action="store_true")
-    parser.add_argument("--commands-only", action="store_true", help="withhold the rotor speeds")
+    parser.add_argument("--without", nargs="*", default=[], choices=list(SIGNALS), help="signals that are withheld")
     arguments = parser.parse_args()
-    if arguments.record and arguments.commands_only:
-        parser.error("--record is for logs with rotor speeds")
+    if arguments.record and arguments.without:
+        parser.error("--record is for whole logs")
     sys.path.append(str(arguments.place))
     tally: dict[str, list[str]] = {}
     rows: list[list[str]] = []
@@ -400,12 +404,12 @@ def main() -> None:
                 there = {k: c for k, c in every.items() if k == name or (is_flown(folder, k))}
                 write_project(folder, simulator, seed, there)
                 project = folder
-                if arguments.commands_only:
-                    project = folder.with_name(f"{folder.name}-commands")
+                if arguments.without:
+                    project = folder.with_name("-".join([folder.name, "without", *arguments.without]))
                     (project / "data").mkdir(parents=True, exist_ok=True)
                     if not (project / "data/raw").exists():
                         (project / "data/raw").symlink_to(folder / "data/raw")
-                    write_project(project, simulator, seed, there, False)
+                    write_project(project, simulator, seed, there, arguments.without)
                 began = time.perf_counter()
                 found = diagnose(project, name)
                 result = judge(case, found, importlib.import_module(f"foreign_{simulator}").ALWAYS)
