@@ -60,6 +60,11 @@ def complete_sensors(
         return Completed(gyro, force, attitude)
     made: dict[str, dict[str, Any]] = {}
     acceleration, about = _acceleration(series, bandwidth)
+    if gyro is not None and attitude is None and all(_find(series, (a,)) is None for a in EULER_ANGLES):
+        raise DataError(
+            f"{where}: the log holds no specific force (accelerometer), and no attitude by which one could be made of "
+            "the motion; log the accelerometer"
+        )
     if attitude is None:
         attitude, made["attitude"] = _attitude(series, acceleration, about, bandwidth, where)
     if force is None:

@@ -117,7 +117,7 @@ def test_a_logged_roll_is_kept_and_checks_the_pitch(flat):
 @pytest.mark.parametrize(
     ("groups", "lacking"),
     [({"a": LINEAR}, "yaw"), ({"a": LINEAR, "r": ("roll", "pitch")}, "yaw"), ({"y": ("yaw",)}, "acceleration"),
-     ({"q": FULL["q"]}, "accelerometer")],
+     ({"q": FULL["q"]}, "accelerometer"), ({"g": ("p", "q", "r")}, "log the accelerometer")],
 )  # fmt: skip
 def test_what_cannot_be_made_is_refused_by_name(groups, lacking):
     t = 0.01 * np.arange(500)
