@@ -427,7 +427,9 @@ def _given(
         for c in [*found.causes, *found.immaterial]
         if not any(c is r for r in refuted)
     ]
-    return accepted + [(effects[t.tests[0].offer.cause], t.tests[0].offer, {}) for _, t in found.ties]
+    # the slope at nothing of what bends would leave most of it unexplained
+    sizes = {c.test.offer: c.value for c in found.stand_ins if c.effect.is_nonlinear}
+    return accepted + [(effects[o.cause], o, sizes.get(o, {})) for o in (t.tests[0].offer for _, t in found.ties)]
 
 
 def _outdone(
