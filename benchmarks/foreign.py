@@ -74,18 +74,25 @@ def scaled(**factors: float) -> dict[str, Any]:
     return {"change": change}
 
 
-def rotorpy_cases() -> dict[str, Case]:
-    """One parameter of RotorPy each, and faults of sensors."""
-    from foreign_rotorpy import moved, parameters
+def crazyflie_cases() -> dict[str, Case]:
+    """As RotorPy's larger vehicle, without what the Crazyflie's parameters hold none of; a smaller shift."""
+    cases = rotorpy_cases("foreign_crazyflie", (0.003, -0.002, 0.0))
+    return {name: case for name, case in cases.items() if name != "lift x 3" and not case.unexplained}
 
-    p = parameters()
-    shift = (0.006, -0.004, 0.0)  # m, forward and to the right
+
+def rotorpy_cases(
+    module: str = "foreign_rotorpy", shift: tuple[float, float, float] = (0.006, -0.004, 0.0)
+) -> dict[str, Case]:
+    """One parameter of RotorPy each, and faults of sensors. shift  of the cg, m, forward and to the left"""
+    from foreign_rotorpy import moved
+
+    p = importlib.import_module(module).parameters()
 
     def shifted(document: dict[str, Any]) -> None:
         moved(document, shift)
 
     # what sits on the frame moves backwards against the cg
-    frame = {"imu": (-0.006, 0.004, 0.0), "markers": (-0.006, 0.004, 0.03)}
+    frame = {"imu": (-shift[0], -shift[1], 0.0), "markers": (-shift[0], -shift[1], 0.03)}
     return {
         "clean": Case(may_miss=True),
         "mass x 1.08": Case(("mass",), value={"mass": 1.08 * p["mass"]}, change=scaled(mass=1.08)),
@@ -182,7 +189,7 @@ def mujoco_cases() -> dict[str, Case]:
     }  # fmt: skip
 
 
-SIMULATORS = {"rotorpy": rotorpy_cases, "mujoco": mujoco_cases}
+SIMULATORS = {"rotorpy": rotorpy_cases, "mujoco": mujoco_cases, "crazyflie": crazyflie_cases}
 
 
 def slug(name: str) -> str:

@@ -29,13 +29,17 @@ def parameters() -> dict[str, Any]:
 
 def vehicle() -> Vehicle:
     """What the lab writes down about it."""
-    p = parameters()
+    return written_down("Hummingbird", parameters())
+
+
+def written_down(name: str, p: Mapping[str, Any]) -> Vehicle:
+    """What a lab writes down about a vehicle of RotorPy's parameters."""
     hubs = np.array(list(p["rotor_pos"].values()))
     places = {"front left": 1, "front right": 2, "aft right": 3, "aft left": 4}
     inertia = (p["Ixx"], p["Iyy"], p["Izz"])
     # a positive direction is a torque about z up on the body: the rotor itself turns clockwise
     turns = "CW" if p["rotor_directions"][0] > 0 else "CCW"
-    return Vehicle("Hummingbird", p["mass"], inertia, hubs, turns, p["rotor_radius"], p["rotor_speed_max"], places)
+    return Vehicle(name, p["mass"], inertia, hubs, turns, p["rotor_radius"], p["rotor_speed_max"], places)
 
 
 def moved(p: dict[str, Any], shift: tuple[float, float, float]) -> None:
@@ -50,6 +54,7 @@ def fly(
     weak: Mapping[int, tuple[float, float]] | None = None,
     fading: float = 0.0,
     load: Load | None = None,
+    of: Callable[[], dict[str, Any]] = parameters,
 ) -> Motion:
     """One flight.
 
@@ -58,11 +63,12 @@ def fly(
     weak    {rotor from 1: factors of its thrust and torque coefficients}
     fading  1/s, share of all rotors' thrust and torque that is lost with time
     load    (position m, velocity through the air m/s body) to a force N and moment N m, body, of no parameter
+    of      the vehicle's parameters
     """
     from rotorpy.controllers.quadrotor_control import SE3Control
     from rotorpy.vehicles.multirotor import Multirotor
 
-    p = parameters()
+    p = of()
     control = SE3Control(p)
     if change is not None:
         change(p)
