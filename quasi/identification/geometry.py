@@ -63,7 +63,7 @@ def contradicting_places(
             f"the configuration has it {_side(*hubs[i])} (x = {hubs[i, 0]:.2f} m, y = {hubs[i, 1]:.2f} m)"
             for i in np.flatnonzero(elsewhere)
         ]
-    notes = [fault] if (fault := describe_impossible_inertia(airframe.inertia)) else []
+    notes = [fault] if (fault := describe_impossible_inertia(airframe.inertia, True)) else []
     if scaled:
         notes.append(scaled)
     elif places:

@@ -7,6 +7,7 @@ import numpy as np
 from quasi.gap.effect import Effect, Extension, Parameter, Values, Vehicle
 from quasi.gap.flights.evidence import Evidence
 from quasi.model.model import Model
+from quasi.sensor_limits import INERTIA_ERROR
 
 ENTRIES = {"Ixx": (0, 0), "Iyy": (1, 1), "Izz": (2, 2), "Ixy": (0, 1), "Ixz": (0, 2), "Iyz": (1, 2)}
 
@@ -26,10 +27,16 @@ def _tenth(i: int, j: int) -> Callable[[Vehicle], float]:
 
 
 def _body(vehicle: Vehicle) -> list[tuple[Values, float]]:
-    """No body has a moment of inertia that is more than the two others together: I_xx + I_yy - I_zz = 2 int z^2 dm."""
+    """No body has a moment of inertia that is more than the two others together: I_xx + I_yy - I_zz = 2 int z^2 dm.
+
+    The deviations are those from configured moments, which err.
+    """
     moments = {f"I{a}{a}": float(vehicle.inertia[k, k]) for k, a in enumerate("xyz")}
     return [
-        ({n: -1.0 if n == largest else 1.0 for n in moments}, 2.0 * own - sum(moments.values()))
+        (
+            {n: -1.0 if n == largest else 1.0 for n in moments},
+            own - (1.0 + INERTIA_ERROR) * (sum(moments.values()) - own),
+        )
         for largest, own in moments.items()
     ]
 
