@@ -42,11 +42,12 @@ from quasi.gap.levels.rollouts.confirmation import Settled
 from quasi.gap.levels.rollouts.open_loop import HORIZON, MOVED_BY
 from quasi.gap.levels.sensors_and_drive import SEARCHES, rate_of, reject_immaterial
 from quasi.gap.levels.trim_evidence import gather_trim, trim_entries, why_rotor_is_enough
+from quasi.gap.losses import correction_matters, drive_losses, losses
 from quasi.gap.materiality import Cause
 from quasi.gap.probability import add_probabilities
 from quasi.gap.report.wording import summary
 from quasi.gap.scores import scored
-from quasi.gap.verdict import correction_matters, drive_losses, judge_causes, losses
+from quasi.gap.verdict import judge_causes
 from quasi.model.extensions import configured_mass
 from quasi.model.model import AXES, Model
 

@@ -8,197 +8,33 @@ material.
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, NamedTuple
 
 import numpy as np
-import pandas as pd
 
 from quasi.gap.effect import Effect
 from quasi.gap.entries import needed
-from quasi.gap.flights.evidence import Evidence
 from quasi.gap.levels.forces import unexplained
 from quasi.gap.levels.forces.case import Case
-from quasi.gap.levels.forces.error_reduction import Squares, after, before, wrench_squares
+from quasi.gap.levels.forces.error_reduction import after, wrench_squares
 from quasi.gap.levels.forces.identify import Found
-from quasi.gap.levels.forces.nuisance import nuisances
-from quasi.gap.levels.rollouts import error_reduction, split_flights
+from quasi.gap.levels.rollouts import split_flights
 from quasi.gap.levels.rollouts.confirmation import CONFIRMED, REFUTED, Settled, settle
-from quasi.gap.levels.rollouts.open_loop import HORIZON, MOVED_BY, WITH_COMMANDS, WITH_TRIM, WITHOUT_TRIM, fell, rms
+from quasi.gap.levels.rollouts.open_loop import HORIZON, MOVED_BY, WITHOUT_TRIM
 from quasi.gap.levels.sensors_and_drive import SEARCHES
 from quasi.gap.levels.trim_evidence import OF_TOTAL_THRUST, rejected_by_trim, why_rotor_is_enough
+from quasi.gap.losses import (
+    FORCES_LINE,
+    OWN_LOSS,
+    Loss,
+    losses,
+    only_loss,
+    removed_shares,
+    simulated_rows,
+    wrench_pairs,
+)
 from quasi.gap.materiality import Cause
-from quasi.gap.statistics import blocks
 from quasi.gap.statistics.mixed import Candidate
 from quasi.model.model import AXES, Model
-
-FORCES_LINE, DRIVE_LINE = "forces", "drive"  # the lines of losses of forces and moments, and of rotor speeds
-OWN_LOSS = 0.05  # share by which an error must exceed that of the model without causes to be a cause's fault
-OWN_TRIM = 3.0  # standard deviations of what healthy flights differ by, within which a constant error is a flight's own
-
-
-class Loss(NamedTuple):
-    """An error that the extended model enlarges: line ("forces", "drive" or that of a simulation), quantity, horizon
-    (s, 0 but for simulations), root mean squares before and after, SI.
-
-    of_trim  the flight's own trim explains it: it limits the verdict and rejects no cause
-    one_axis  it is one axis of a vector that does not surely lose: it rejects only causes of that axis alone
-    """
-
-    line: str
-    quantity: str
-    horizon: float
-    before: float
-    after: float
-    of_trim: bool = False
-    one_axis: bool = False
-
-    @property
-    def growth(self) -> float:
-        """Share by which the root mean square grows."""
-        return self.after / max(self.before, 1e-300) - 1.0
-
-    def sentence(self) -> str:
-        """The loss in words."""
-        where = f"after {self.horizon:g} s of simulation" if self.horizon else "on the held-out flights"
-        name = f"the speed of rotor {self.quantity[1:]}" if self.line == DRIVE_LINE else self.quantity
-        return f"the error of {name} {where} grows from {self.before:.3g} to {self.after:.3g}"
-
-
-def drive_losses(gap: Mapping[str, Any]) -> list[Loss]:
-    """Rotor speeds that the named causes of the drive make worse on held-out flights, the largest growth first.
-
-    gap  errors "before" and "after" as in the diagnosis. One lag for all rotors is wrong for three where one is slow.
-    """
-    before, after = (gap[side].get(DRIVE_LINE) or {} for side in ("before", "after"))
-    found = [Loss(DRIVE_LINE, w, 0.0, before[w]["0"], after[w]["0"]) for w in before if w in after]
-    return sorted((loss for loss in found if loss.growth > OWN_LOSS), key=lambda loss: -loss.growth)
-
-
-def losses(
-    base: Model, extended: Model, held: Sequence[Evidence], flights: Mapping[str, pd.DataFrame],
-    horizons: Sequence[float], share: float, commanded: bool = True,
-) -> list[Loss]:  # fmt: skip
-    """What an extended model makes worse on held-out flights, the largest growth first.
-
-    share  material share of the squared error; a loss below it does not count
-    commanded  whether simulations driven by commands count: they hold the errors of the rotors' drive, which no cause
-               of forces and moments answers for
-    A simulation without the flight's own trim may lose by chance where trim hides a gain, so it counts only where the
-    same quantity does not gain with trim taken up. Where that quantity does not surely lose with trim, and the constant
-    errors that the extension leaves are those of any healthy flight, the loss is one of trim. A cause moves several
-    axes by one parameter, and a flight has errors of its own on each: the loss of one axis is marked where the error of
-    the whole vector does not surely grow.
-    """
-    if not held:
-        return []
-    pairs = _wrench_pairs((base, extended), base, held)
-    found = _of_forces(pairs, share) if len(pairs[0][0].t) else []
-    rows = _simulated_rows((base, extended), base, held, flights, horizons, commanded)
-    if rows:
-        found += _of_simulations(rows, share, trim_is_usual(held, after(extended, base)))
-    return sorted(found, key=lambda loss: -loss.growth)
-
-
-def _wrench_pairs(models: Sequence[Model], base: Model, held: Sequence[Evidence]) -> list[tuple[Squares, ...]]:
-    """Squared errors of forces and moments under some models, with constant errors and without."""
-    left = [before if model is base else after(model, base) for model in models]
-    return [tuple(wrench_squares(held, residual, centred) for residual in left) for centred in (False, True)]
-
-
-def _simulated_rows(
-    models: Sequence[Model], base: Model, held: Sequence[Evidence], flights: Mapping[str, pd.DataFrame],
-    horizons: Sequence[float], commanded: bool,
-) -> dict[str, list[dict[str, Any]]]:  # fmt: skip
-    """By how much the errors of simulations fall from the first model to the second, by line; none without tracks."""
-    tracks = error_reduction.tracks_of(held, flights, horizons, models)
-    if not tracks:
-        return {}
-    lines = [line for line in error_reduction.lines_of(tracks) if commanded or line != WITH_COMMANDS]
-    errors = [error_reduction.simulated_errors(tracks, model, base, lines) for model in models]
-    return {line: fell(*(error_reduction.end_table(tracks, e[line], horizons, line) for e in errors)) for line in lines}
-
-
-def correction_matters(
-    model: Model, first: tuple[Sequence[Evidence], Mapping[str, pd.DataFrame]],
-    last: tuple[Sequence[Evidence], Mapping[str, pd.DataFrame]], horizons: Sequence[float], share: float,
-) -> bool:  # fmt: skip
-    """Whether a correction of sensors changes what the model leaves of forces, moments or simulations.
-
-    first, last  held-out flights (evidence, filtered tables by key) before and after the correction; share  of a
-    squared error, from which a change counts. A fault of sensors below that is a finding and explains no gap.
-    """
-    old, new = (wrench_squares(held, before).mean() for held, _ in (first, last))
-    if np.any(np.abs(new - old) >= share * np.maximum(old, 1e-300)):
-        return True
-    ends = []
-    for held, tables in (first, last):
-        tracks = error_reduction.tracks_of(held, tables, horizons)
-        if not tracks:
-            return False
-        errors = error_reduction.simulated_errors(tracks, model, model, (WITHOUT_TRIM,))[WITHOUT_TRIM]
-        ends.append(rms(error_reduction.end_table(tracks, errors, horizons)))
-    pairs = [(ends[0][q][h], ends[1][q][h]) for q in ends[0] for h in ends[0][q]]
-    return any(abs(b**2 - a**2) >= share * a**2 for a, b in pairs if a > 0.0)
-
-
-def _removed_shares(old: Squares, new: Squares) -> list[tuple[float, float]]:
-    """Ends of the 95 % interval of the share of each axis's squared error that goes."""
-    drawn = blocks.drawn(old.flight, old.t, np.stack([old.values, new.values], axis=1))
-    a, b = old.mean(), new.mean()
-    share_of = 1.0 - drawn.sums[:, 1] / np.maximum(drawn.sums[:, 0], 1e-300)
-    return [blocks.interval(float(1.0 - b[k] / max(a[k], 1e-300)), share_of[:, k], drawn.wider) for k in range(6)]
-
-
-def _of_forces(pairs: Sequence[tuple[Squares, Squares]], share: float) -> list[Loss]:
-    """Axes that are surely worse with constant errors and without: constants are what flights differ by anyway."""
-    worse = []
-    for old, new in pairs:
-        a, b = old.mean(), new.mean()
-        ends = _removed_shares(old, new)
-        worse.append([high < 0.0 and b[k] > (1.0 + share) * a[k] for k, (_, high) in enumerate(ends)])
-    old, new = pairs[0]
-    rms = np.sqrt([old.mean(), new.mean()])
-    shrinks = np.repeat(np.diff((rms**2).reshape(2, 2, 3).sum(axis=2), axis=0)[0] < 0.0, 3)  # force, moment
-    return [
-        Loss(FORCES_LINE, axis, 0.0, float(rms[0, k]), float(rms[1, k]), one_axis=bool(shrinks[k]))
-        for k, axis in enumerate(AXES)
-        if worse[0][k] and worse[1][k]
-    ]
-
-
-def trim_is_usual(held: Sequence[Evidence], left: Callable[[Evidence], np.ndarray]) -> bool:
-    """Whether the constant errors that an extended model leaves are those by which healthy flights differ.
-
-    left  flight -> residual (n, 6). Each axis of each flight must stay within OWN_TRIM standard deviations of nuisances
-    together, or be no more than one standard deviation larger than before.
-    """
-    for flight in held:
-        usual = np.sqrt(sum((spread * column.mean(axis=0)) ** 2 for _, column, spread in nuisances(flight)))
-        last, first = (np.abs(residual.mean(axis=0)) for residual in (left(flight), flight.residual))
-        if np.any(last > np.maximum(OWN_TRIM * usual, first + usual)):
-            return False
-    return True
-
-
-def _of_simulations(
-    rows: Mapping[str, Sequence[Mapping[str, Any]]], share: float, usual_trim: bool = False
-) -> list[Loss]:
-    trimmed = {(r["quantity"], r["horizon"]): r for r in rows.get(WITH_TRIM, ())}
-    found = []
-    for line, of in rows.items():
-        vectors = {(r["quantity"], r["horizon"]): r for r in of}
-        for row in of:
-            # the share is of squared errors, the rows are of root mean squares
-            if not (row["high"] < 0.0 and row["after"] ** 2 > (1.0 + share) * row["before"] ** 2):
-                continue
-            other = trimmed.get((row["quantity"], row["horizon"]))
-            if line == WITHOUT_TRIM and other is not None and other["value"] > 0.0:
-                continue
-            of_trim = usual_trim and line == WITHOUT_TRIM and other is not None and other["high"] >= 0.0
-            vector = vectors.get((row["quantity"].split()[0], row["horizon"]))
-            one_axis = vector is not None and vector is not row and vector["high"] >= 0.0
-            found.append(Loss(line, row["quantity"], row["horizon"], row["before"], row["after"], of_trim, one_axis))
-    return found
 
 
 def reject_losing_causes(
@@ -275,7 +111,7 @@ def judge_causes(case: Case, found: Found) -> tuple[Settled, unexplained.Left]:
         settled = _borne_out(settled, case.settings["material share"])
     settled = _against_trim(case, settled)
     settled = _harmless(case, settled, made)
-    settled = _of_use(case, settled, made)
+    settled = _of_use(case, settled, made, found.level)
 
     def left_by(settled: Settled) -> unexplained.Left:
         residual = after(made(settled.causes, case.anew(settled.causes)), case.model)
@@ -386,35 +222,27 @@ def _harmless(case: Case, settled: Settled, made: Callable[[Sequence[Cause], boo
     return settled._replace(losses=left)
 
 
-def _of_use(case: Case, settled: Settled, made: Callable[[Sequence[Cause], bool], Model]) -> Settled:
+def _of_use(
+    case: Case, settled: Settled, made: Callable[[Sequence[Cause], bool], Model], level: Mapping[str, float]
+) -> Settled:
     """Without causes that surely improve nothing of the held-out flights and surely make a simulation worse, however
-    little: they are something of the flights that they were found on. What roll-outs confirm stands."""
+    little: they are something of the flights that they were found on. What roll-outs confirm stands, and so does what
+    passed its level twice over: a cause that acts in a few seconds hardly shows in a flight's whole error."""
     for cause in settled.causes if case.held else []:
-        if settled.confirmations[cause.effect.id, cause.since].outcome == CONFIRMED:
+        confirmed = settled.confirmations[cause.effect.id, cause.since].outcome == CONFIRMED
+        if confirmed or cause.test.p < level[cause.since] ** 2:
             continue
         anew = case.anew(settled.causes)
         models = [made([c for c in settled.causes if c is not cause], anew), made(settled.causes, anew)]
         channels = [axis for axis in AXES if axis in cause.effect.channels] or list(AXES)
-        shares = [_removed_shares(*pair) for pair in _wrench_pairs(models, case.model, case.held) if len(pair[0].t)]
+        shares = [removed_shares(*pair) for pair in wrench_pairs(models, case.model, case.held) if len(pair[0].t)]
         ends = [of[AXES.index(axis)] for of in shares for axis in channels]
-        rows = _simulated_rows(models, case.model, case.held, case.tables, case.settings["horizons"], False)
+        rows = simulated_rows(models, case.model, case.held, case.tables, case.settings["horizons"], False)
         moved = {MOVED_BY[axis] for axis in channels}
         simulated = [row for of in rows.values() for row in of if row["quantity"] in moved]
         if loss := only_loss(ends, simulated):
             settled = _without(settled, cause, f"it surely improves nothing, and with it {loss.sentence()}")
     return settled
-
-
-def only_loss(shares: Sequence[tuple[float, float]], simulated: Sequence[Mapping[str, Any]]) -> Loss | None:
-    """The largest sure loss of simulations where nothing surely gains; None where something does, or nothing loses.
-
-    shares  ends of the intervals of what goes of forces and moments; simulated  rows of `fell`
-    """
-    if any(low > 0.0 for low, _ in shares) or any(row["low"] > 0.0 for row in simulated):
-        return None
-    worse = [row for row in simulated if row["high"] < 0.0]
-    most = min(worse, key=lambda row: row["value"], default=None)
-    return most and Loss(WITHOUT_TRIM, most["quantity"], most["horizon"], most["before"], most["after"])
 
 
 def _given(

@@ -12,8 +12,9 @@ from quasi.gap.base_model import worth_of
 from quasi.gap.catalogue import catalogue
 from quasi.gap.constant_loads import LOADS, constant_force_ties
 from quasi.gap.diagnosis import verdict_of
+from quasi.gap.losses import Loss, drive_losses, only_loss, trim_is_usual
 from quasi.gap.report.wording import tie_sentence
-from quasi.gap.verdict import Loss, drive_losses, only_loss, reject_losing_causes, trim_is_usual
+from quasi.gap.verdict import reject_losing_causes
 from quasi.model.model import Model
 
 

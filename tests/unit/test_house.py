@@ -77,7 +77,7 @@ FLOORS = [
     {"entries", "probability", "scores"},
     {"report"},
     {"base_model", "constant_loads"},
-    {"verdict", "diagnosis"},
+    {"losses", "verdict", "diagnosis"},
     {"planning"},
     {"comparing"},
 ]
