@@ -8,11 +8,13 @@ from quasi.model.model import Model
 
 
 def _columns(evidence: Evidence, _: Values) -> dict[str, np.ndarray]:
-    result, rates = {}, evidence.rates
+    result, rates, turning = {}, evidence.rates, evidence.angular_acceleration
+    # rates stay bounded: a mean of the model's angular acceleration is what the offset makes the model err by
+    turning = turning - turning.mean(axis=0)
     for k, name in enumerate("xyz"):
         arm = np.eye(3)[k]
         # the accelerometer was carried over to the configured cg
-        carried = np.cross(evidence.angular_acceleration, arm) + np.cross(rates, np.cross(rates, arm))
+        carried = np.cross(turning, arm) + np.cross(rates, np.cross(rates, arm))
         result[name] = np.hstack([-evidence.mass * carried, -np.cross(arm, evidence.force)])
     return result
 
