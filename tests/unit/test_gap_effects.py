@@ -1,5 +1,7 @@
 """Each cause's columns against independent physics: the made vehicle with the cause planted, per rotor, and without."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from made_model import simple_model
@@ -379,3 +381,14 @@ def test_inertias_of_bodies_are_possible_and_others_are_not(ground):
     assert Profile(limits=limits).is_possible(told(np.diag([1e-3, 1e-3, 1.99e-3])))
     assert not Profile(limits=limits).is_possible(told(np.diag([1e-3, 1e-3, 2.5e-3])))
     assert Profile(limits=limits).is_possible(told(np.diag([1e-3, 1e-3, 2.5e-3]), 2e-4))
+
+
+def test_a_constant_error_of_the_models_moment_turns_no_vehicle(ground):
+    """A Crazyflie whose cg is 3 mm off: the model turned it by 43 rad/s2, and the offset was refused for its force."""
+    evidence = residual_of(ground, {"mass": {"mass": 0.44}})
+    turned = evidence.predicted + np.array([0.0, 0.0, 0.0, 0.02, -0.03, 0.0])
+    effect = CATALOGUE["cg_offset"]
+    for values in ({}, {"x": 0.003, "y": 0.002, "z": 0.0}):
+        first, last = (effect.columns(replace(evidence, predicted=p), values) for p in (evidence.predicted, turned))
+        for name in "xyz":
+            np.testing.assert_allclose(first[name], last[name], atol=1e-9)

@@ -7,10 +7,12 @@ from quasi.gap.flights.evidence import Evidence
 from quasi.model.model import Model
 
 
-def _columns(evidence: Evidence, _: Values) -> dict[str, np.ndarray]:
-    result, rates, turning = {}, evidence.rates, evidence.angular_acceleration
-    # rates stay bounded: a mean of the model's angular acceleration is what the offset makes the model err by
-    turning = turning - turning.mean(axis=0)
+def _columns(evidence: Evidence, values: Values) -> dict[str, np.ndarray]:
+    result, rates, offset = {}, evidence.rates, np.array([values.get(n, 0.0) for n in "xyz"])
+    # the model turns the vehicle as if its cg were the configured one: a light vehicle by much more than it turns
+    missing = -np.cross(offset, evidence.force)
+    turning = evidence.angular_acceleration + np.linalg.solve(evidence.inertia, missing.T).T
+    turning = turning - turning.mean(axis=0)  # rates stay bounded
     for k, name in enumerate("xyz"):
         arm = np.eye(3)[k]
         # the accelerometer was carried over to the configured cg
