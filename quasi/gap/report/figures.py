@@ -130,7 +130,10 @@ def _window(panel: Axes, part: pd.DataFrame, state: str) -> None:
     """One state of one window: flown, and simulated before and after."""
     measured: dict[str, dict[str, Any]] = {"measured": {"color": DARK_GREY, "lw": 1.4, "zorder": 2.5}}
     for word, look in (measured | DRAWN).items():
-        panel.plot(part["t"], part[f"{state}_{word}"], label=word, **look)
+        values = part[f"{state}_{word}"].to_numpy(float).copy()
+        if STATE_UNITS[state] == "rad":  # no line across the panel where a vehicle that tumbles passes half a turn
+            values[1:][np.abs(np.diff(values)) > np.pi] = np.nan
+        panel.plot(part["t"], values, label=word, **look)
 
 
 def with_errors(table: pd.DataFrame, rows: pd.DataFrame | None) -> pd.DataFrame:
