@@ -1,7 +1,7 @@
 """Flights of foreign simulators: does a gap name the one parameter that was changed in them, and nothing else?
 
     python benchmarks/foreign.py PLACE OUT [--simulators rotorpy mujoco] [--cases mass ...] [--seeds 1 2] [--record]
-                                 [--without speeds accelerometer gyro]
+                                 [--without speeds accelerometer gyro] [--rough]
 
 PLACE is a folder with the simulators (`pip install --target PLACE --no-deps rotorpy mujoco`), which are no dependency
 of quasi. For each simulator and seed, OUT holds one project folder, as a lab would have it: four reference flights,
@@ -9,8 +9,8 @@ and five flights per case, two of them held out. Each case changes one parameter
 when the logs are written. The workflow imports, filters, identifies and compares. Flights and results stay in OUT, so
 that a second run makes only what is missing.
 
---without diagnoses the same logs without rotor speeds, accelerometer or gyro, in their own project folders. Nothing is
-recorded.
+--rough gives the sensors ten times the noise, half the rate and gaps. --without diagnoses the same logs without rotor
+speeds, accelerometer or gyro, in their own project folders. Nothing is recorded of either.
 """
 
 import argparse
@@ -23,14 +23,16 @@ import sys
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import numpy as np
-from foreign_flights import Motion, Sensors, Vehicle, film, measure, write_arrays, write_csv, write_vicon
+from foreign_flights import ROUGH, Motion, Sensors, Vehicle, film, measure, write_arrays, write_csv, write_vicon
 from foreign_pilot import course
+from foreign_vehicles import VEHICLES, of
 from measured_table import RESULTS, record
 
 from quasi.tables import read_json, write_json
@@ -74,19 +76,30 @@ def scaled(**factors: float) -> dict[str, Any]:
     return {"change": change}
 
 
-def crazyflie_cases() -> dict[str, Case]:
-    """As RotorPy's larger vehicle, without what the Crazyflie's parameters hold none of; a smaller shift."""
-    cases = rotorpy_cases("foreign_crazyflie", (0.003, -0.002, 0.0))
-    return {name: case for name, case in cases.items() if name != "lift x 3" and not case.unexplained}
+def other_cases(name: str) -> dict[str, Case]:
+    """As the Hummingbird; those of a few grams have a smaller shift, and no load that is of its size."""
+    light = name != "sih"
+    cases = rotorpy_cases(name, (0.003, -0.002, 0.0) if light else (0.006, -0.004, 0.0))
+    lacking = {"lift x 3"} if name == "crazyflie" else set()
+    return {k: case for k, case in cases.items() if k not in lacking and not (light and case.unexplained)}
 
 
-def rotorpy_cases(
-    module: str = "foreign_rotorpy", shift: tuple[float, float, float] = (0.006, -0.004, 0.0)
-) -> dict[str, Case]:
-    """One parameter of RotorPy each, and faults of sensors. shift  of the cg, m, forward and to the left"""
+def rotorpy_cases(name: str = "rotorpy", shift: tuple[float, float, float] = (0.006, -0.004, 0.0)) -> dict[str, Case]:
+    """One parameter of RotorPy each, and faults of sensors. shift  of the cg, m, forward and to the left
+
+    A vehicle without one of the terms gets, as a change, that of the Hummingbird.
+    """
     from foreign_rotorpy import moved
+    from foreign_rotorpy import parameters as hummingbird
 
-    p = importlib.import_module(module).parameters()
+    p = vehicle_of(name).parameters()
+    usual = {key: p[key] or hummingbird()[key] for key in ("k_d", "k_z", "k_h")}
+
+    def more(key: str, times: float) -> dict[str, Any]:
+        def change(document: dict[str, Any]) -> None:
+            document[key] += times * usual[key]
+
+        return {"change": change}
 
     def shifted(document: dict[str, Any]) -> None:
         moved(document, shift)
@@ -103,13 +116,13 @@ def rotorpy_cases(
                               change=scaled(Ixx=1.2, Iyy=1.2, Izz=1.2)),
         "cg moved": Case(("cg_offset",), ("imu_lever_arm", "marker_offset"), {"x": shift[0], "y": -shift[1]},
                          {"change": shifted}, frame),
-        "rotor drag x 2": Case(("rotor_drag",), value={"k": p["k_d"]}, change=scaled(k_d=2.0)),
+        "rotor drag x 2": Case(("rotor_drag",), value={"k": usual["k_d"]}, change=more("k_d", 1.0)),
         "body drag x 6": Case(("body_drag",), value={"c": 5 * p["c_Dx"]}, change=scaled(c_Dx=6.0, c_Dy=6.0, c_Dz=6.0)),
         "wind 3 m/s": Case(("wind",), value={"north": 2.4, "east": -1.8}, change={"wind": (2.4, 1.8, 0.0)}),
-        "motor lag x 2": Case(("motor_lag",), value={"time_constant": 0.04}, change=scaled(tau_m=2.0)),
+        "motor lag x 2": Case(("motor_lag",), value={"time_constant": 2 * p["tau_m"]}, change=scaled(tau_m=2.0)),
         **sensor_cases(),
-        "inflow x 2": Case(("axial_inflow",), value={"k": p["k_z"]}, change=scaled(k_z=2.0)),
-        "lift x 3": Case(("translational_lift",), value={"k": 8 * p["k_h"]}, change=scaled(k_h=3.0)),
+        "inflow x 2": Case(("axial_inflow",), value={"k": usual["k_z"]}, change=more("k_z", 1.0)),
+        "lift x 3": Case(("translational_lift",), value={"k": 8 * usual["k_h"]}, change=more("k_h", 2.0)),
         # thinner air: all that the rotors do, in proportion
         "air x 0.93": Case(("thrust_factor",), ("torque_factor", "rotor_drag", "axial_inflow"), {"factor": 0.93},
                            scaled(k_eta=0.93, k_m=0.93, k_d=0.93, k_z=0.93, k_h=0.93)),
@@ -189,7 +202,14 @@ def mujoco_cases() -> dict[str, Case]:
     }  # fmt: skip
 
 
-SIMULATORS = {"rotorpy": rotorpy_cases, "mujoco": mujoco_cases, "crazyflie": crazyflie_cases}
+SIMULATORS = {
+    "rotorpy": rotorpy_cases, "mujoco": mujoco_cases, **{name: partial(other_cases, name) for name in VEHICLES}
+}  # fmt: skip
+
+
+def vehicle_of(simulator: str) -> Any:
+    """How a simulator flies: a module, or what `foreign_vehicles` makes of RotorPy's other vehicles."""
+    return of(simulator) if simulator in VEHICLES else importlib.import_module(f"foreign_{simulator}")
 
 
 def slug(name: str) -> str:
@@ -198,15 +218,19 @@ def slug(name: str) -> str:
 
 
 def write_flight(folder: Path, simulator: str, key: str, seeds: tuple[int, int], case: Case) -> None:
-    """Fly, and write log and capture, where they are not there yet; seeds of the course and of the sensors."""
-    module = importlib.import_module(f"foreign_{simulator}")
+    """Fly, and write log and capture, where they are not there yet; seeds of the course and of the sensors.
+
+    A folder whose name ends with `rough` gets the sensors of `ROUGH`.
+    """
+    module = vehicle_of(simulator)
     arrays = module.vehicle().arrays
     onboard, capture = folder / f"data/raw/{key}.{'npz' if arrays else 'csv'}", folder / f"data/raw/{key}-capture.csv"
     if onboard.is_file():
         return
     onboard.parent.mkdir(parents=True, exist_ok=True)
     motion = flown(folder / f"motions/{seeds[0]}.npz", module, seeds[0], case)
-    rng, sensors = np.random.default_rng(seeds[1]), Sensors(**{**module.SENSORS, **case.sensors})
+    lab = ROUGH if folder.name.endswith("-rough") else {}
+    rng, sensors = np.random.default_rng(seeds[1]), Sensors(**{**module.SENSORS, **lab, **case.sensors})
     board, poses = measure(motion, sensors, rng), film(motion, sensors, rng)
     if arrays:
         write_arrays(onboard, board, poses)
@@ -230,7 +254,7 @@ def write_project(
     folder: Path, simulator: str, seed: int, cases: Mapping[str, Case], lacking: Sequence[str] = ()
 ) -> None:
     """Flights, logbook, quadrotor and the configurations of processing, model and gaps; lacking  what is not read."""
-    vehicle: Vehicle = importlib.import_module(f"foreign_{simulator}").vehicle()
+    vehicle: Vehicle = vehicle_of(simulator).vehicle()
     numbers = list(SIMULATORS[simulator]())
     keys = [f"reference-{i + 1}" for i in range(REFERENCES)]
     for i, key in enumerate(keys):
@@ -396,9 +420,10 @@ def main() -> None:
     parser.add_argument("--seeds", nargs="*", type=int, default=[1])
     parser.add_argument("--record", action="store_true")
     parser.add_argument("--without", nargs="*", default=[], choices=list(SIGNALS), help="signals that are withheld")
+    parser.add_argument("--rough", action="store_true", help="ten times the noise, half the rate, gaps in the capture")
     arguments = parser.parse_args()
-    if arguments.record and arguments.without:
-        parser.error("--record is for whole logs")
+    if arguments.record and (arguments.without or arguments.rough):
+        parser.error("--record is for whole logs of usual sensors")
     sys.path.append(str(arguments.place))
     tally: dict[str, list[str]] = {}
     rows: list[list[str]] = []
@@ -406,7 +431,7 @@ def main() -> None:
         every = SIMULATORS[simulator]()
         cases = {k: c for k, c in every.items() if not arguments.cases or any(p in k for p in arguments.cases)}
         for seed in arguments.seeds:
-            folder = arguments.out.resolve() / f"{simulator}-{seed}"
+            folder = arguments.out.resolve() / f"{simulator}-{seed}{'-rough' if arguments.rough else ''}"
             for name, case in cases.items():
                 there = {k: c for k, c in every.items() if k == name or (is_flown(folder, k))}
                 write_project(folder, simulator, seed, there)
@@ -419,10 +444,18 @@ def main() -> None:
                     write_project(project, simulator, seed, there, arguments.without)
                 began = time.perf_counter()
                 found = diagnose(project, name)
-                result = judge(case, found, importlib.import_module(f"foreign_{simulator}").ALWAYS)
+                result = judge(case, found, vehicle_of(simulator).ALWAYS)
                 show(f"{simulator} {seed}, {name}", case, found, result, time.perf_counter() - began)
                 true = ", ".join(f"{k} {v:.4g}" for k, v in list(case.value.items())[:3]) or "-"
-                rows.append([f"{simulator} {seed}", name, true, answer(found), result["score"]])
+                rows.append(
+                    [
+                        f"{simulator} {seed}{' rough' if arguments.rough else ''}",
+                        name,
+                        true,
+                        answer(found),
+                        result["score"],
+                    ]
+                )
                 tally.setdefault(result["score"], []).append(f"{simulator} {seed} {name}")
     for score, names in tally.items():
         print(f"{score}: {len(names)}")

@@ -17,8 +17,7 @@ from scipy.signal import butter, sosfilt
 from scipy.spatial.transform import Rotation, Slerp
 
 GRAVITY = 9.81  # m/s2, of RotorPy and of MuJoCo's default
-FINE, LOGGED = 2000, 500  # Hz: sensor's sampling, log
-CAPTURED = 120  # Hz
+FINE = 2000  # Hz, of the sensors
 ERPM = 14 / 2 * 60 / (2 * np.pi) / 100  # eRPM/100 of 1 rad/s, 14 poles
 
 
@@ -59,6 +58,18 @@ class Sensors:
     vibration: float = 1.5  # m/s2 at hover, along each axis, of each rotor's line
     hover: float = 469.0  # rad/s
     rotors: tuple[int, int, int, int] = (0, 1, 2, 3)  # rotor, from 0, that each column of speeds and commands holds
+    capture_noise: float = 2e-4  # m
+    attitude_noise: float = 1e-3  # rad, of the capture
+    logged: int = 500  # Hz, a divisor of FINE
+    captured: int = 120  # Hz
+    gaps: int = 0  # spans of 0.3 s that the capture lacks
+
+
+# a loose frame, a log of half the rate, and markers at the edge of what cameras see
+ROUGH: dict[str, Any] = {
+    "accelerometer_noise": 3.0, "gyro_noise": 0.05, "vibration": 6.0, "capture_noise": 1e-3, "attitude_noise": 5e-3,
+    "logged": 250, "captured": 100, "gaps": 4,
+}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -169,7 +180,7 @@ def measure(motion: Motion, sensors: Sensors, rng: np.random.Generator) -> Board
     force += np.array(sensors.accelerometer_bias) + rng.normal(0.0, 0.05, 3)
     rates = sensors.gyro_scale * rates + rng.normal(0.0, sensors.gyro_noise, rates.shape) + rng.normal(0.0, 0.01, 3)
     low_pass = butter(2, 120.0, fs=FINE, output="sos")
-    start = slice(50 * FINE // LOGGED, None, FINE // LOGGED)  # the filters have started
+    start = slice(FINE // 10, None, FINE // sensors.logged)  # the filters have started
     gyro, acc, stamps = sosfilt(low_pass, rates, axis=0)[start], sosfilt(low_pass, force, axis=0)[start], t[start]
     jitter = 1 + rng.normal(0, 0.002, (len(stamps), 4))
     telemetry = np.round(at(stamps - 0.002, motion, motion.speeds) * ERPM * jitter)
@@ -180,15 +191,19 @@ def measure(motion: Motion, sensors: Sensors, rng: np.random.Generator) -> Board
 
 def film(motion: Motion, sensors: Sensors, rng: np.random.Generator) -> Capture:
     """Motion capture of a flight; it starts 0.7 to 1.5 s after the log."""
-    seen = np.arange(rng.uniform(0.7, 1.5), motion.t[-1] - 0.1, 1 / CAPTURED)
+    seen = np.arange(rng.uniform(0.7, 1.5), motion.t[-1] - 0.1, 1 / sensors.captured)
     where = at(seen - sensors.capture_delay, motion, motion.position)
     turns = Slerp(motion.t, Rotation.from_quat(motion.attitude))
     where = where + turns(seen - sensors.capture_delay).apply(np.array(sensors.markers))
-    where = where + rng.normal(0.0, 2e-4, where.shape)
+    where = where + rng.normal(0.0, sensors.capture_noise, where.shape)
     turn = Rotation.from_rotvec(rng.normal(0.0, np.radians(0.1), 3))
-    noise = Rotation.from_rotvec(rng.normal(0.0, 1e-3, (len(seen), 3)))
+    noise = Rotation.from_rotvec(rng.normal(0.0, sensors.attitude_noise, (len(seen), 3)))
     shown = turns(seen - sensors.capture_delay - sensors.attitude_delay) * turn * noise
-    return Capture(seen, where, shown.as_quat())
+    attitude = shown.as_quat()
+    for start in rng.uniform(8.0, seen[-1] - 8.0, sensors.gaps):
+        gone = (seen > start) & (seen < start + 0.3)
+        where[gone], attitude[gone] = np.nan, np.nan
+    return Capture(seen, where, attitude)
 
 
 def write_csv(path: Path, board: Board) -> None:
@@ -204,8 +219,11 @@ def write_csv(path: Path, board: Board) -> None:
 def write_vicon(path: Path, capture: Capture) -> None:
     """The capture as Vicon Tracker exports it, on its own clock: z up, mm, quaternions."""
     rows = np.column_stack([capture.attitude, 1000.0 * capture.position])
-    lines = ["Objects", str(CAPTURED), ",,Quad:Quad,,,,,,", "Frame,Sub Frame,RX,RY,RZ,RW,TX,TY,TZ", ",,,,,,mm,mm,mm"]
-    lines += [",".join([str(k + 1), "0", *(f"{v:.7g}" for v in row)]) for k, row in enumerate(rows)]
+    rate = round((len(capture.t) - 1) / (capture.t[-1] - capture.t[0]))
+    lines = ["Objects", str(rate), ",,Quad:Quad,,,,,,", "Frame,Sub Frame,RX,RY,RZ,RW,TX,TY,TZ", ",,,,,,mm,mm,mm"]
+    lines += [
+        ",".join([str(k + 1), "0", *("" if np.isnan(v) else f"{v:.7g}" for v in row)]) for k, row in enumerate(rows)
+    ]
     path.write_text("\r\n".join([*lines, ""]))
 
 

@@ -35,7 +35,9 @@ def vehicle() -> Vehicle:
 def written_down(name: str, p: Mapping[str, Any]) -> Vehicle:
     """What a lab writes down about a vehicle of RotorPy's parameters."""
     hubs = np.array(list(p["rotor_pos"].values()))
-    places = {"front left": 1, "front right": 2, "aft right": 3, "aft left": 4}
+    places = {
+        f"{'front' if x > 0 else 'aft'} {'left' if y > 0 else 'right'}": i + 1 for i, (x, y, _) in enumerate(hubs)
+    }
     inertia = (p["Ixx"], p["Iyy"], p["Izz"])
     # a positive direction is a torque about z up on the body: the rotor itself turns clockwise
     turns = "CW" if p["rotor_directions"][0] > 0 else "CCW"

@@ -18,7 +18,7 @@ from quasi.running.job_server import JobServer, use_server
 from quasi.pages.index import INDEX_TARGET, list_sources, write_index
 from quasi.running.provenance import compute_code_digest, save_parsed
 from quasi.project.folder import check_project, check_writable, read_settings
-from quasi.running.checksums import Checksums
+from quasi.running.checksums import Checksums, read_once
 from quasi.running.live_runs import (
     explain_lock,
     refuse_unlocking,
@@ -36,14 +36,15 @@ from quasi.running.terminal import (
 from quasi.project.gaps import describe_run_code
 from quasi.project.workflow import Folder
 
-# parts of Snakemake that are no interface: where a later one has moved them, each job starts Python anew and
-# Snakemake's own handler answers SIGTERM
+# parts of Snakemake that are no interface: where a later one has moved them, each job starts Python anew, files are
+# read several times, and Snakemake's own handler answers SIGTERM
 try:
     from snakemake.benchmark import benchmarked
+    from snakemake.io import _IOFile
     from snakemake.scheduling.job_scheduler import JobScheduler
     from snakemake.script import PythonScript
 except ImportError:
-    JobScheduler = PythonScript = None
+    JobScheduler = PythonScript = _IOFile = None
 
 PROJECT = os.getcwd()  # at the end of a run it is another one
 FAULTS = []
@@ -160,6 +161,9 @@ if (
     SERVER = JobServer(cores=workflow.cores)
     atexit.register(SERVER.close)
     use_server(PythonScript, SERVER, benchmarked)
+
+if _IOFile is not None:
+    read_once(_IOFile)
 
 # what the command line gives (--config) comes before the folder's own file
 for key, value in ask(read_settings, "config/config.yaml").items():

@@ -188,13 +188,15 @@ def _of_simulations(
     return found
 
 
-def only_loss(shares: Sequence[tuple[float, float]], simulated: Sequence[Mapping[str, Any]]) -> Loss | None:
+def only_loss(
+    shares: Sequence[tuple[float, float]], rows: Mapping[str, Sequence[Mapping[str, Any]]], usual_trim: bool = False
+) -> Loss | None:
     """The largest sure loss of simulations where nothing surely gains; None where something does, or nothing loses.
 
-    shares  ends of the intervals of what goes of forces and moments; simulated  rows of `fell`
+    shares  ends of the intervals of what goes of forces and moments; rows  of `fell`, by line; usual_trim  as of
+    `trim_is_usual`: a loss that the flight's own trim explains is none
     """
-    if any(low > 0.0 for low, _ in shares) or any(row["low"] > 0.0 for row in simulated):
+    if any(low > 0.0 for low, _ in shares) or any(row["low"] > 0.0 for of in rows.values() for row in of):
         return None
-    worse = [row for row in simulated if row["high"] < 0.0]
-    most = min(worse, key=lambda row: row["value"], default=None)
-    return most and Loss(WITHOUT_TRIM, most["quantity"], most["horizon"], most["before"], most["after"])
+    worse = [loss for loss in _of_simulations(rows, 0.0, usual_trim) if not loss.of_trim]
+    return max(worse, key=lambda loss: loss.growth, default=None)

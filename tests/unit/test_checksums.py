@@ -1,12 +1,14 @@
 """Files in the place of others are noticed whatever their time stamps; unchanged ones are not read again."""
 
+import asyncio
 import os
 import shutil
 
 import pytest
 
+from quasi.errors import ReadError
 from quasi.running import checksums
-from quasi.running.checksums import Checksums
+from quasi.running.checksums import Checksums, read_once
 from quasi.tables import sha256_of
 
 
@@ -82,3 +84,30 @@ def test_absent_and_empty_files_have_no_checksum_and_a_damaged_memory_is_made_an
     assert kept.compute(tmp_path / "empty") is None
     kept.save()
     assert Checksums(memory).compute(tmp_path / "empty") is None
+
+
+def test_snakemake_reads_an_unchanged_file_once(tmp_path):
+    done = []
+
+    class File:
+        is_storage = False
+
+        def __init__(self, path):
+            self.file = str(path)
+
+        async def checksum(self, threshold=None, force=False):
+            done.append(self.file)
+            return sha256_of(self.file)
+
+    read_once(File)
+    path = tmp_path / "flight.parquet"
+    path.write_bytes(b"one flight")
+    first = [asyncio.run(File(path).checksum(1000)) for _ in range(3)]
+    assert first == [sha256_of(path)] * 3 and len(done) == 1
+    asyncio.run(File(path).checksum(force=True))
+    assert len(done) == 2
+    path.write_bytes(b"an other 1")
+    assert asyncio.run(File(path).checksum(1000)) == sha256_of(path) != first[0]
+    path.unlink()
+    with pytest.raises(ReadError):
+        asyncio.run(File(path).checksum(1000))
