@@ -98,6 +98,8 @@ def fly(
         three = craft._s_dot_fn(0.0, s + h / 2 * two, commands[k])
         four = craft._s_dot_fn(0.0, s + h * three, commands[k])
         states[k], slopes[k] = s, one
+        if craft._on_ground(state):  # it sets velocities there; the floor's friction is in no force of its own
+            slopes[k, 3:6] = slopes[k, 10:13] = 0.0
         state = craft._unpack_state(s + h / 6 * (one + 2 * two + 2 * three + four))
         state["q"] = state["q"] / np.linalg.norm(state["q"])
         if craft._on_ground(state):

@@ -70,6 +70,9 @@ def columns_of(effect: Effect, evidence: Evidence, vehicle: Vehicle, values: Val
             columns = effect.columns(evidence, values)
         else:
             columns = {name: wrench_of(terms, evidence) for name, terms in effect.terms(vehicle).items()}
+        if effect.sized_by:
+            asked = [axis in effect.sized_by for axis in AXES]
+            columns = {name: np.where(asked, column, 0.0) for name, column in columns.items()}
         shapes = {name: np.shape(column) for name, column in columns.items()}
     except QuasiError:
         raise

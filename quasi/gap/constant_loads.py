@@ -46,6 +46,7 @@ LOADS = (
         ("mass", "thrust_factor", "rotor_speed_scale", "accelerometer_scale"),
         (
             "rotor_effectiveness",
+            "wind",
             "accelerometer_bias",
             "tether",
             "payload_swing",

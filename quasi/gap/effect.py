@@ -199,8 +199,8 @@ class Effect:
                   other accelerations
     reported      (deviations, standard errors) -> {name: Size} to report instead of the parameters that are fitted
     starts        sizes of the one parameter of a cause that bends so much that its slope at nothing hardly shows it: it
-                  is looked for by the whole effect of one of them, the likeliest, see
-                  `quasi.gap.levels.forces.nonlinear`
+                  is looked for by the whole effect of the likeliest, see `quasi.gap.levels.forces.nonlinear`
+    sized_by      axes whose measured wrench sizes it, where a model knows the others too badly; all where empty
     sums          vehicle -> [({parameter: weight}, least)]: weighted sums of the deviations that cannot be less, where
                   what is physical is no range of each
     always_tied_with     ids that differ from it by less than the errors of a model: always a tie with them
@@ -231,6 +231,7 @@ class Effect:
     exact: Callable[[Values, Vehicle], Values] | None = None
     reported: Callable[[Values, Values], dict[str, Size]] | None = None
     starts: tuple[float, ...] = ()
+    sized_by: tuple[str, ...] = ()
     sums: Callable[[Vehicle], list[tuple[Values, float]]] | None = None
     opposite: str = ""
     parts: str = "any"

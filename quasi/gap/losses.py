@@ -128,12 +128,12 @@ def correction_matters(
     return any(abs(b**2 - a**2) >= share * a**2 for a, b in pairs if a > 0.0)
 
 
-def removed_shares(old: Squares, new: Squares) -> list[tuple[float, float]]:
-    """Ends of the 95 % interval of the share of each axis's squared error that goes."""
+def removed_shares(old: Squares, new: Squares) -> list[tuple[float, float, float]]:
+    """The share of each axis's squared error that goes, and the ends of its 95 % interval."""
     drawn = blocks.drawn(old.flight, old.t, np.stack([old.values, new.values], axis=1))
-    a, b = old.mean(), new.mean()
+    shares = 1.0 - new.mean() / np.maximum(old.mean(), 1e-300)
     share_of = 1.0 - drawn.sums[:, 1] / np.maximum(drawn.sums[:, 0], 1e-300)
-    return [blocks.interval(float(1.0 - b[k] / max(a[k], 1e-300)), share_of[:, k], drawn.wider) for k in range(6)]
+    return [(share, *blocks.interval(share, share_of[:, k], drawn.wider)) for k, share in enumerate(shares.tolist())]
 
 
 def _of_forces(pairs: Sequence[tuple[Squares, Squares]], share: float) -> list[Loss]:
@@ -142,7 +142,7 @@ def _of_forces(pairs: Sequence[tuple[Squares, Squares]], share: float) -> list[L
     for old, new in pairs:
         a, b = old.mean(), new.mean()
         ends = removed_shares(old, new)
-        worse.append([high < 0.0 and b[k] > (1.0 + share) * a[k] for k, (_, high) in enumerate(ends)])
+        worse.append([high < 0.0 and b[k] > (1.0 + share) * a[k] for k, (*_, high) in enumerate(ends)])
     old, new = pairs[0]
     rms = np.sqrt([old.mean(), new.mean()])
     shrinks = np.repeat(np.diff((rms**2).reshape(2, 2, 3).sum(axis=2), axis=0)[0] < 0.0, 3)  # force, moment
@@ -188,15 +188,17 @@ def _of_simulations(
     return found
 
 
-def only_loss(
-    shares: Sequence[tuple[float, float]], rows: Mapping[str, Sequence[Mapping[str, Any]]], usual_trim: bool = False
-) -> Loss | None:
-    """The largest sure loss of simulations where nothing surely gains; None where something does, or nothing loses.
+def only_loss(shares: Sequence[tuple[float, float, float]], simulated: Sequence[Mapping[str, Any]]) -> Loss | None:
+    """The largest sure loss of simulations where nothing surely gains, nor the forces and moments together as far as
+    they are known; None where something does, or nothing loses.
 
-    shares  ends of the intervals of what goes of forces and moments; rows  of `fell`, by line; usual_trim  as of
-    `trim_is_usual`: a loss that the flight's own trim explains is none
+    shares  what goes of forces and moments, with the ends of its interval; simulated  rows of `fell`. A simulation
+    alone may lose by the held-out flight's own trim.
     """
-    if any(low > 0.0 for low, _ in shares) or any(row["low"] > 0.0 for of in rows.values() for row in of):
+    if any(low > 0.0 for _, low, _ in shares) or any(row["low"] > 0.0 for row in simulated):
         return None
-    worse = [loss for loss in _of_simulations(rows, 0.0, usual_trim) if not loss.of_trim]
-    return max(worse, key=lambda loss: loss.growth, default=None)
+    worse = [row for row in simulated if row["high"] < 0.0]
+    if sum(share for share, *_ in shares) > 0.0 or not worse:
+        return None
+    most = min(worse, key=lambda row: row["value"])
+    return Loss(WITHOUT_TRIM, most["quantity"], most["horizon"], most["before"], most["after"])

@@ -30,7 +30,6 @@ from quasi.gap.losses import (
     only_loss,
     removed_shares,
     simulated_rows,
-    trim_is_usual,
     wrench_pairs,
 )
 from quasi.gap.materiality import Cause
@@ -240,8 +239,8 @@ def _of_use(
         ends = [of[AXES.index(axis)] for of in shares for axis in channels]
         rows = simulated_rows(models, case.model, case.held, case.tables, case.settings["horizons"], False)
         moved = {MOVED_BY[axis] for axis in channels}
-        simulated = {line: [row for row in of if row["quantity"] in moved] for line, of in rows.items()}
-        if loss := only_loss(ends, simulated, trim_is_usual(case.held, after(models[1], case.model))):
+        simulated = [row for of in rows.values() for row in of if row["quantity"] in moved]
+        if loss := only_loss(ends, simulated):
             settled = _without(settled, cause, f"it surely improves nothing, and with it {loss.sentence()}")
     return settled
 

@@ -1,5 +1,6 @@
 """Each cause's columns against independent physics: the made vehicle with the cause planted, per rotor, and without."""
 
+import copy
 from dataclasses import replace
 
 import numpy as np
@@ -10,14 +11,14 @@ from quasi import attitude
 from quasi.airframe import read_airframe
 from quasi.attitude import GRAVITY
 from quasi.errors import ConfigError, DataError
-from quasi.gap.catalogue import catalogue, chosen, columns_of, whole_of, wrench_of
+from quasi.gap.catalogue import beyond_slope, catalogue, chosen, columns_of, whole_of, wrench_of
 from quasi.gap.effect import Effect, Parameter, room_of, vehicle_of
-from quasi.gap.flights.evidence import Evidence
+from quasi.gap.flights.evidence import Evidence, model_wrench
 from quasi.gap.flights.inflow import overshoot
 from quasi.gap.levels.corrections import CORRECTS
 from quasi.gap.profile import Profile
 from quasi.gap.statistics import mixed
-from quasi.model.model import AXES
+from quasi.model.model import AXES, Model
 from quasi_synthesis.campaign import quadrotor_configuration, read_campaign
 from quasi_synthesis.effects import check, plant
 from quasi_synthesis.nuisance import nominal
@@ -230,6 +231,31 @@ def test_a_large_wrong_scale_of_rotor_speeds_bends(ground):
     np.testing.assert_allclose(whole_of(effect, evidence, vehicle, value), evidence.residual, atol=1e-9)
     slope = columns_of(effect, evidence, vehicle, {"scale": 0.0})["scale"] * value["scale"]
     assert np.abs(slope[:, 2]).mean() < 0.85 * np.abs(evidence.residual[:, 2]).mean()
+
+
+def test_a_wind_is_a_shift_of_airspeed_where_lift_goes_with_its_square_and_forces_size_it(ground):
+    """At 3 m/s in hover a slope at no wind has no lift at all."""
+    airframe, _, simple = ground
+    document = copy.deepcopy(simple.document)
+    for axis, expression, coefficient in (("Fz", "u^2 + v^2", -0.0045), ("Mx", "v", 0.001)):
+        one = {**document["axes"][axis]["terms"][0], "name": expression, "expression": expression}
+        document["axes"][axis]["terms"].append({**one, "coefficient": coefficient, "given": True})
+    model, columns = Model(document, "test"), states(np.random.default_rng(4), spread=0.2)
+    along = attitude.rotate_inverse(
+        attitude.from_euler(*(columns[a] for a in ("roll", "pitch", "yaw"))), np.array([2.4, -1.8, 0.0])
+    )
+    now, true = (model_wrench(model, {**columns, **{a: columns[a] - s * along[:, k] for k, a in enumerate("uvw")}})
+                 for s in (0, 1))  # fmt: skip
+    evidence = Evidence("a", airframe, model, 0.433, np.asarray(airframe.inertia), columns, true, now)
+    effect, vehicle, value = CATALOGUE["wind"], vehicle_of(model, 0.433), {"north": 2.4, "east": -1.8, "down": 0.0}
+    np.testing.assert_allclose(whole_of(effect, evidence, vehicle, value), evidence.residual, atol=1e-9)
+    slopes = columns_of(effect, evidence, vehicle, {})
+    lift = sum(slopes[n][:, 2] * v for n, v in value.items())
+    assert evidence.residual[:, 2].mean() == pytest.approx(-0.0045 * 9.0, rel=0.1) and abs(lift.mean()) < 0.008
+    there = columns_of(effect, evidence, vehicle, value)
+    assert not any(np.any(c[:, 3:]) for c in there.values()) and np.any(evidence.residual[:, 3])
+    forces = sum(there[n][:, :3] * v for n, v in value.items()) + beyond_slope(effect, evidence, vehicle, value)[:, :3]
+    np.testing.assert_allclose(forces, evidence.residual[:, :3], atol=1e-9)
 
 
 def test_inflow_that_lags_makes_thrust_overshoot_as_the_physics_say(ground):

@@ -12,7 +12,6 @@ from quasi.gap.base_model import worth_of
 from quasi.gap.catalogue import catalogue
 from quasi.gap.constant_loads import LOADS, constant_force_ties
 from quasi.gap.diagnosis import verdict_of
-from quasi.gap.levels.rollouts.open_loop import WITH_TRIM, WITHOUT_TRIM
 from quasi.gap.losses import Loss, drive_losses, only_loss, trim_is_usual
 from quasi.gap.report.wording import tie_sentence
 from quasi.gap.verdict import reject_losing_causes
@@ -75,28 +74,21 @@ def test_a_cause_that_makes_more_better_than_worse_limits_the_verdict_and_stands
 @pytest.mark.parametrize(
     ("shares", "simulated", "lost"),
     [
-        ([(-0.4, 0.3)], [(-0.5, -0.1), (-0.2, 0.4)], True),
-        ([(-0.4, 0.3)], [(-0.5, -0.1), (0.01, 0.4)], False),  # another axis or horizon surely gains
-        ([(0.02, 0.3)], [(-0.5, -0.1)], False),  # a force does
-        ([(-0.4, -0.3)], [(-0.5, 0.1)], False),  # no simulation surely loses
+        ([(-0.05, -0.4, 0.3)], [(-0.5, -0.1), (-0.2, 0.4)], True),
+        ([(0.1, -0.4, 0.3), (-0.2, -0.6, 0.3)], [(-0.5, -0.1)], True),
+        ([(-0.05, -0.4, 0.3)], [(-0.5, -0.1), (0.01, 0.4)], False),  # another axis or horizon surely gains
+        ([(0.1, 0.02, 0.3), (-0.2, -0.6, 0.3)], [(-0.5, -0.1)], False),  # a force does
+        ([(0.2, -0.4, 0.3), (-0.1, -0.6, 0.3)], [(-0.5, -0.1)], False),  # forces and moments gain, not surely
+        ([(-0.35, -0.4, -0.3)], [(-0.5, 0.1)], False),  # no simulation surely loses
         ([], [], False),
     ],
 )
 def test_a_cause_that_improves_nothing_and_makes_a_simulation_worse_is_none(shares, simulated, lost):
     rows = [{"quantity": "velocity z", "horizon": 0.5, "low": low, "high": high, "value": 0.5 * (low + high),
              "before": 1.0, "after": 1.0 - 0.5 * (low + high)} for low, high in simulated]  # fmt: skip
-    loss = only_loss(shares, {WITHOUT_TRIM: rows})
+    loss = only_loss(shares, rows)
     assert (loss is not None) == lost
     assert loss is None or loss.sentence() == ("the error of velocity z after 0.5 s of simulation grows from 1 to 1.3")
-
-
-@pytest.mark.parametrize(
-    ("usual_trim", "trimmed", "lost"), [(True, 0.1, False), (True, -0.1, True), (False, 0.1, True)]
-)
-def test_a_loss_by_a_flights_own_trim_alone_rejects_no_cause(usual_trim, trimmed, lost):
-    row = {"quantity": "rate y", "horizon": 0.5, "before": 1.0, "after": 1.3, "value": -0.3}
-    rows = {WITHOUT_TRIM: [{**row, "low": -0.5, "high": -0.1}], WITH_TRIM: [{**row, "low": -0.5, "high": trimmed}]}
-    assert (only_loss([(-0.4, 0.3)], rows, usual_trim) is not None) == lost
 
 
 def test_a_loss_that_no_rejection_ends_stays_and_rejects_nothing():

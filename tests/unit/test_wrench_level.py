@@ -399,3 +399,10 @@ def test_mass_and_inertia_that_grow_in_proportion_may_be_weaker_rotors(share, ti
     assert [[t.offer.cause for t in tie.tests] for _, tie in ties] == ([["thrust_factor", "mass", "inertia"]] * tied)
     # one of them alone is what it is
     assert sought._with_weaker_rotors([turned], [], effects, Rotors(), about) == ([turned], [])
+
+
+def test_a_component_that_is_not_there_moves_a_wind_by_little():
+    old, new = {"north": 2.4, "east": -1.8, "down": -0.6}, {"north": 2.4, "east": -1.8, "down": 0.0}
+    assert sought._moved(catalogue()["wind"], new, old) == pytest.approx(0.6 / np.sqrt(2.4**2 + 1.8**2 + 0.6**2))
+    assert sought._moved(catalogue()["wind"], {}, old) == pytest.approx(1.0)
+    assert sought._moved(catalogue()["rotor_speed_scale"], {"scale": 0.03}, {"scale": 0.02}) == pytest.approx(0.5)

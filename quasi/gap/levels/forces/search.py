@@ -19,6 +19,7 @@ from quasi.gap.statistics.clustered import ClusteredMixedModel
 from quasi.gap.statistics.mixed import ALL_NEEDED_P, Candidate, MixedModel, Test
 
 ASTRAY = 0.5  # of its size, that a cause may move when it is linearised there
+STAYS = 0.02  # of its size, by which a cause that moves less stays where it is
 FORCE_ITERATIONS = 4  # how often curved causes are linearised anew, and contradicted ones left out
 KNOWN = 0.05  # share to which the forms hold and what they are made of is known: thrust of a rotor, hubs, own drag
 
@@ -73,10 +74,14 @@ def seek(
         found = [(c.effect, c.since, c.value) for c in causes] + [_as_found(tie, since, asked) for since, tie in ties]
         bent = [(e.id, since, sizes) for e, since, sizes in found if e.is_nonlinear]
         now = _sizes(bent, True)
-        neutral |= {n for n, old in values[True].items() if not asked[n].starts and _astray(now.get(n, {}), old)}
+        neutral |= {
+            n
+            for n, old in values[True].items()
+            if not asked[n].starts and _moved(asked[n], now.get(n, {}), old) > ASTRAY
+        }
         straight = [b for b in bent if b[0] not in neutral]
         curved = chords(asked, {flag: _sizes(straight, flag) for flag in (True, False)}, values[True])
-        elsewhere = any(_elsewhere(curved[flag], values[flag]) for flag in (True, False))
+        elsewhere = any(_elsewhere(asked, curved[flag], values[flag]) for flag in (True, False))
         values = curved
         torn = _contradicted(causes, ties, asked, mixed, study, compared)
         contradicted |= torn
@@ -135,16 +140,21 @@ def _sizes(causes: Sequence[tuple[str, str, Deviations]], compared: bool) -> dic
     return found
 
 
-def _astray(new: Deviations, old: Deviations) -> bool:
-    """Whether a cause that was linearised at its sizes is found elsewhere altogether, or not at all."""
-    return any(abs(new.get(p, 0.0) - value) > ASTRAY * abs(value) for p, value in old.items())
+def _moved(effect: Effect, new: Deviations, old: Deviations) -> float:
+    """How far the sizes of a cause are from those that it was linearised at, as a share of these. Parameters count in
+    units of their ranges and together: of a wind, the component that is not there moves by all of its size."""
+
+    def length(sizes: Deviations) -> float:
+        return float(np.sqrt(sum((v / (effect.parameters[p].high - effect.parameters[p].low)) ** 2
+                                 for p, v in sizes.items())))  # fmt: skip
+
+    away = {p: new.get(p, 0.0) - old.get(p, 0.0) for p in {**old, **new}}
+    return length(away) / max(length(old), 1e-300)
 
 
-def _elsewhere(new: Mapping[str, Deviations], old: Mapping[str, Deviations]) -> bool:
+def _elsewhere(asked: Mapping[str, Effect], new: Mapping[str, Deviations], old: Mapping[str, Deviations]) -> bool:
     """Whether causes have to be linearised anew."""
-    return new.keys() != old.keys() or any(
-        abs(value - old[n].get(p, 0.0)) > 0.02 * abs(value) for n, own in new.items() for p, value in own.items()
-    )
+    return new.keys() != old.keys() or any(_moved(asked[n], own, old[n]) > STAYS for n, own in new.items())
 
 
 def _contradicted(
