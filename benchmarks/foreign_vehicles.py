@@ -21,7 +21,7 @@ VEHICLES: dict[str, tuple[str, dict[str, Any]]] = {
     # 1 kg, body drag alone, rotors in PX4's order; at RotorPy's gains its motors hit both stops in every step of yaw
     "sih": (
         "px4_sihsim_quadx_params",
-        {**LAG, "rotor_radius": 0.127, "kp_att": np.array([100.0, 100.0, 2.0]), "kd_att": np.array([20.0, 20.0, 1.5])},
+        {**LAG, "rotor_radius": 0.127, "kp_att": np.array([400.0, 400.0, 2.0]), "kd_att": np.array([57.0, 57.0, 1.5])},
     ),
 }
 TERMS = {"rotor_drag": "k_d", "body_drag": "c_Dx", "axial_inflow": "k_z", "translational_lift": "k_h"}
