@@ -167,6 +167,11 @@ class OfMap(NamedTuple):
     before: float = 0.0
     after: float = 0.0
 
+    @property
+    def any(self) -> bool:
+        """Whether speeds differ under it from those of the map."""
+        return self.exponent != 0.0 or self.after != self.before
+
     def beyond(self, base: "OfMap") -> "OfMap":
         """What is changed of speeds that are put right by what `base` changes already."""
         return OfMap(self.exponent - base.exponent, self.reference, base.after, self.after)
@@ -188,7 +193,7 @@ def correct_estimated_speeds(columns: Mapping[str, np.ndarray], of: OfMap) -> di
     A voltage that is not positive leaves the speed.
     """
     result = dict(columns)
-    if not are_estimated(columns):
+    if not of.any or not are_estimated(columns):
         return result
     if of.exponent and of.reference and "battery_voltage" in columns:
         ratio = np.asarray(columns["battery_voltage"], float) / of.reference

@@ -126,7 +126,7 @@ def simulated(
         states[:, 9:] += rotate(from_euler(*states[:, :3].T), shift)
     driven = (commands, rotors, air, extra or None, offsets)
     changed, speeds = changes_of_map(model), flight.speeds
-    if changed != changed.beyond(changed) and are_estimated(flight.table):
+    if changed.any and are_estimated(flight.table):
         corrected = correct_estimated_speeds({n: flight.table[n] for n in flight.table}, changed)
         speeds = np.nan_to_num(np.stack([corrected[n] for n in ROTORS], axis=1))
     run = to_euler_states(
