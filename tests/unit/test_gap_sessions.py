@@ -117,7 +117,7 @@ def test_a_battery_that_is_seated_elsewhere_is_what_sessions_differ_by(ground): 
     # place of the weight and propellers together make the spread that trims show
     sizes = [np.abs(column[:, 4]).mean() * size for column, size in (session["session: centre of gravity, x"],
                                                                     (pattern, spread))]  # fmt: skip
-    thrust = seen.carried_thrust.sum(axis=1).mean()
+    thrust = -seen.force[:, 2].mean()
     arm = abs(seen.hubs[0, 0])
     assert np.hypot(*sizes) == pytest.approx(0.015 * arm * thrust, rel=0.1)
 

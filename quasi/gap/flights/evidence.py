@@ -158,12 +158,6 @@ class Evidence:
         return self.model.document["simple model"]["kappaFz"]["value"] * self.speeds**2
 
     @cached_property
-    def carried_thrust(self) -> np.ndarray:
-        """Thrust of each rotor with its inflow, N (n, 4): the model's vertical force, shared as squared speeds are."""
-        squares = self.speeds**2
-        return -self.force[:, 2:] * squares / np.maximum(squares.sum(axis=1, keepdims=True), 1e-12)
-
-    @cached_property
     def torque(self) -> np.ndarray:
         """Shaft torque of each rotor by the simple model, N m (n, 4), positive against its spin."""
         return abs(self.model.document["simple model"]["kappaMz"]["value"]) * self.speeds**2
