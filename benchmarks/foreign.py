@@ -14,7 +14,6 @@ speeds, accelerometer or gyro, in their own project folders. Nothing is recorded
 """
 
 import argparse
-import importlib
 import json
 import os
 import re
@@ -23,16 +22,15 @@ import sys
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
-from functools import partial
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import numpy as np
+from foreign_cases import SIMULATORS, Case, vehicle_of
 from foreign_flights import ROUGH, Motion, Sensors, Vehicle, film, measure, write_arrays, write_csv, write_vicon
 from foreign_pilot import course
-from foreign_vehicles import VEHICLES, of
 from measured_table import RESULTS, record
 
 from quasi.tables import read_json, write_json
@@ -45,171 +43,6 @@ COLUMNS = (
     "Flight key,Quadrotor,Flight controller,Mass,Batteries,Drone Config File,Drone Config Path,Onboard Name,OB Path,"
     "Has OT data,Raw OptiTrack Name,Raw OT Path,Rigid Body Name"
 )
-
-
-class Case(NamedTuple):
-    """One hidden cause.
-
-    right   ids of which one must be named or stand in a tie; empty where the catalogue has none: nothing may be named
-    also    ids that are true as well, or that import settles; they are no wrong names
-    value   {parameter: true value} of the first right id
-    change  keywords of the simulator's `fly`; sensors  of `Sensors`
-    may_miss  whether `agrees` is right too: import or filter takes the cause off, or it is below what flights show
-    """
-
-    right: tuple[str, ...] = ()
-    also: tuple[str, ...] = ()
-    value: Mapping[str, float] = {}
-    change: Mapping[str, Any] = {}
-    sensors: Mapping[str, Any] = {}
-    may_miss: bool = False
-    unexplained: bool = False
-
-
-def scaled(**factors: float) -> dict[str, Any]:
-    """Parameters of RotorPy times factors."""
-
-    def change(p: dict[str, Any]) -> None:
-        for key, factor in factors.items():
-            p[key] = p[key] * factor
-
-    return {"change": change}
-
-
-def other_cases(name: str) -> dict[str, Case]:
-    """As the Hummingbird; those of a few grams have a smaller shift, and no load that is of its size."""
-    light = name != "sih"
-    cases = rotorpy_cases(name, (0.003, -0.002, 0.0) if light else (0.006, -0.004, 0.0))
-    lacking = {"lift x 3"} if name == "crazyflie" else set()
-    return {k: case for k, case in cases.items() if k not in lacking and not (light and case.unexplained)}
-
-
-def rotorpy_cases(name: str = "rotorpy", shift: tuple[float, float, float] = (0.006, -0.004, 0.0)) -> dict[str, Case]:
-    """One parameter of RotorPy each, and faults of sensors. shift  of the cg, m, forward and to the left
-
-    A vehicle without one of the terms gets, as a change, that of the Hummingbird.
-    """
-    from foreign_rotorpy import moved
-    from foreign_rotorpy import parameters as hummingbird
-
-    p = vehicle_of(name).parameters()
-    usual = {key: p[key] or hummingbird()[key] for key in ("k_d", "k_z", "k_h")}
-
-    def more(key: str, times: float) -> dict[str, Any]:
-        def change(document: dict[str, Any]) -> None:
-            document[key] += times * usual[key]
-
-        return {"change": change}
-
-    def shifted(document: dict[str, Any]) -> None:
-        moved(document, shift)
-
-    # what sits on the frame moves backwards against the cg
-    frame = {"imu": (-shift[0], -shift[1], 0.0), "markers": (-shift[0], -shift[1], 0.03)}
-    return {
-        "clean": Case(may_miss=True),
-        "mass x 1.08": Case(("mass",), value={"mass": 1.08 * p["mass"]}, change=scaled(mass=1.08)),
-        "rotor 3 x 0.93": Case(("rotor_effectiveness",), value={"rotor3": 0.93}, change={"weak": {3: (0.93, 1.0)}}),
-        "thrust x 0.95": Case(("thrust_factor",), value={"factor": 0.95}, change=scaled(k_eta=0.95)),
-        "torque x 1.2": Case(("torque_factor",), value={"factor": 1.2}, change=scaled(k_m=1.2)),
-        "inertia x 1.2": Case(("inertia",), value={"Ixx": 1.2 * p["Ixx"], "Iyy": 1.2 * p["Iyy"], "Izz": 1.2 * p["Izz"]},
-                              change=scaled(Ixx=1.2, Iyy=1.2, Izz=1.2)),
-        "cg moved": Case(("cg_offset",), ("imu_lever_arm", "marker_offset"), {"x": shift[0], "y": -shift[1]},
-                         {"change": shifted}, frame),
-        "rotor drag x 2": Case(("rotor_drag",), value={"k": usual["k_d"]}, change=more("k_d", 1.0)),
-        "body drag x 6": Case(("body_drag",), value={"c": 5 * p["c_Dx"]}, change=scaled(c_Dx=6.0, c_Dy=6.0, c_Dz=6.0)),
-        "wind 3 m/s": Case(("wind",), value={"north": 2.4, "east": -1.8}, change={"wind": (2.4, 1.8, 0.0)}),
-        "motor lag x 2": Case(("motor_lag",), value={"time_constant": 2 * p["tau_m"]}, change=scaled(tau_m=2.0)),
-        **sensor_cases(),
-        "inflow x 2": Case(("axial_inflow",), value={"k": usual["k_z"]}, change=more("k_z", 1.0)),
-        "lift x 3": Case(("translational_lift",), value={"k": 8 * usual["k_h"]}, change=more("k_h", 2.0)),
-        # thinner air: all that the rotors do, in proportion
-        "air x 0.93": Case(("thrust_factor",), ("torque_factor", "rotor_drag", "axial_inflow"), {"factor": 0.93},
-                           scaled(k_eta=0.93, k_m=0.93, k_d=0.93, k_z=0.93, k_h=0.93)),
-        "rotor 2 x 0.92, its torque too": Case(("rotor_effectiveness",), value={"rotor2": 0.92, "torque2": 0.92},
-                                               change={"weak": {2: (0.92, 0.92)}}),
-        "rotors 2 and 3 exchanged": Case(("rotor_order",), value={"rotor2": 3, "rotor3": 2},
-                                         sensors={"rotors": (0, 2, 1, 3)}),
-        # commands against measured speeds: forces hold with the speeds that were measured
-        "motor of rotor 2 slower": Case(("motor_lag",), change=scaled(tau_m=np.array([1.0, 2.0, 1.0, 1.0]))),
-        "thrust fades": Case(("thrust_drift",), value={"rate": -0.002}, change={"fading": 0.002}),
-        **unlisted_cases(),
-    }  # fmt: skip
-
-
-def unlisted_cases() -> dict[str, Case]:
-    """Forces and moments of RotorPy that no cause of the catalogue describes."""
-
-    def cubic(_: np.ndarray, velocity: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        return -0.03 * float(velocity @ velocity) * velocity, np.zeros(3)  # N s3/m3
-
-    def layered(position: np.ndarray, _: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        return np.array([0.0, 0.0, 0.3 * np.sin(2 * np.pi * position[2] / 0.4)]), np.zeros(3)  # N, m
-
-    def sideways(_: np.ndarray, velocity: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        return np.array([0.0, 0.05 * velocity[0] * abs(velocity[0]), 0.0]), np.zeros(3)  # N s2/m2
-
-    # a drag with the cube of speed differs from body drag by its form alone
-    near = {"cubic drag": ("body_drag",)}
-    loads = {"cubic drag": cubic, "lift in layers of height": layered, "side force of forward speed": sideways}
-    return {
-        name: Case(also=near.get(name, ()), change={"load": load}, unexplained=True) for name, load in loads.items()
-    }
-
-
-def sensor_cases() -> dict[str, Case]:
-    """Faults made when the logs are written."""
-    scale = dict.fromkeys("xyz", 1.04)
-    late = ("mocap_delay",)  # as a whole it equals the offset of two clocks, which import takes off
-    bias = (0.4, -0.3, 0.3)
-    return {
-        "gyro x 1.04": Case(("gyro_scale",), value=scale, sensors={"gyro_scale": 1.04}),
-        "capture 8 ms late": Case(late, sensors={"capture_delay": 0.012}, may_miss=True),
-        "attitude 8 ms late": Case(late, value={"delay": 0.008}, sensors={"attitude_delay": 0.008}),
-        "accelerometer bias": Case(("accelerometer_bias",), value={"x": bias[0], "y": -bias[1], "z": -bias[2]},
-                                   sensors={"accelerometer_bias": bias}),
-        "markers 10 mm ahead": Case(("marker_offset",), value={"x": 0.01}, sensors={"markers": (0.01, 0.0, 0.03)}),
-    }  # fmt: skip
-
-
-def mujoco_cases() -> dict[str, Case]:
-    """One value of MuJoCo's compiled model each, and faults of sensors."""
-    from foreign_mujoco import INERTIA, MASS
-
-    def multiplied(field: str, factor: float) -> dict[str, Any]:
-        def change(model: Any) -> None:
-            setattr(model, field, getattr(model, field) * factor)
-
-        return {"change": change}
-
-    def blowing(model: Any) -> None:
-        model.opt.wind[:] = (2.4, 1.8, 0.0)
-
-    def dense(model: Any) -> None:
-        model.opt.density *= 3.0
-
-    return {
-        "clean": Case(may_miss=True),
-        "mass x 1.08": Case(("mass",), value={"mass": 1.08 * MASS}, change=multiplied("body_mass", 1.08)),
-        "inertia x 1.2": Case(("inertia",), value=dict(zip(("Ixx", "Iyy", "Izz"), 1.2 * np.array(INERTIA))),
-                              change=multiplied("body_inertia", 1.2)),
-        # the frame's sensors stay, so the IMU and the markers are away from the cg as well
-        "cg moved": Case(("cg_offset",), ("imu_lever_arm", "marker_offset"), {"x": 0.006, "y": 0.004},
-                         {"cg": (0.006, -0.004, 0.0)}),
-        "wind 3 m/s": Case(("wind",), value={"north": 2.4, "east": -1.8}, change={"change": blowing}),
-        "density x 3": Case(("body_drag",), ("translational_lift",), change={"change": dense}),
-        **sensor_cases(),
-    }  # fmt: skip
-
-
-SIMULATORS = {
-    "rotorpy": rotorpy_cases, "mujoco": mujoco_cases, **{name: partial(other_cases, name) for name in VEHICLES}
-}  # fmt: skip
-
-
-def vehicle_of(simulator: str) -> Any:
-    """How a simulator flies: a module, or what `foreign_vehicles` makes of RotorPy's other vehicles."""
-    return of(simulator) if simulator in VEHICLES else importlib.import_module(f"foreign_{simulator}")
 
 
 def slug(name: str) -> str:
@@ -329,11 +162,13 @@ def judge(case: Case, found: Mapping[str, Any], always: frozenset[str]) -> dict[
     """
     named = {e["id"]: e for e in found["effects"]}
     ties = [t["ids"] for t in found["ties"]]
-    true = {*case.right, *case.also}
+    true = {*case.right, *case.second, *case.also}
     own = [i for i, e in named.items() if i not in true and i in always and e["since"] == "always"]
     wrong = [i for i in named if i not in true and i not in own] + ["/".join(t) for t in ties if not true & set(t)]
-    hit = any(i in named for i in case.right)
-    tied = any(set(case.right) & set(t) for t in ties)
+    causes = [ids for ids in (case.right, case.second) if ids]
+    hits = [any(i in named for i in ids) for ids in causes]
+    found_of = [hit or any(set(ids) & set(t) for t in ties) for hit, ids in zip(hits, causes)]
+    hit, tied = bool(hits) and all(hits), bool(found_of) and all(found_of)
     if case.unexplained:
         hit = bool(found["unexplained"])
     if wrong:
@@ -342,6 +177,8 @@ def judge(case: Case, found: Mapping[str, Any], always: frozenset[str]) -> dict[
         score = "right" if hit else "right, in a tie"
     elif case.may_miss and found["verdict"] == "agrees":
         score = "right"
+    elif any(found_of):
+        score = "missed one"
     else:
         score = "missed" if case.right or case.unexplained else "FALSE ALARM"
     score += "".join(f"; {i} is always there" for i in own)
@@ -355,7 +192,7 @@ def show(title: str, case: Case, found: Mapping[str, Any], result: Mapping[str, 
         mark = "wrong " if e["id"] in result["wrong"] else ""
         values = []
         for k, p in e["parameters"].items():
-            known = case.value.get(k) if e["id"] in case.right else None
+            known = case.value.get(k) if e["id"] in case.right + case.second else None
             values.append(
                 f"{k} {p['value']:.4g} +- {p['std']:.2g}" + (f" (true {known:.4g})" if known is not None else "")
             )
