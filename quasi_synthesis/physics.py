@@ -129,6 +129,7 @@ def derivative(t, x, wanted, air, p: Physics, dx, out):
             thrust *= (max(speed, 1.0) / BASE_HOVER_SPEED) ** (p.thrust_exponent - 2.0)
         turning = min(speed / 300.0, 1.0)
         thrust += turning * (p.thrust_constant + p.thrust_per_speed * speed) - p.axial_gain * speed * climb
+        thrust += 0.25 * p.translational_gain * inplane * inplane
 
         loss = p.vortex_depth * vortex_loss(climb, inplane, hover)
         factor = p.thrust_gain[i] * (1.0 + p.thrust_drift * t) * (1.0 - loss * (1.0 + p.vortex_buffet * air[3 + i]))
@@ -185,7 +186,7 @@ def derivative(t, x, wanted, air, p: Physics, dx, out):
     c = p.drag_centre
     fx += bx
     fy += by
-    fz += bz - p.translational_gain * plane * plane
+    fz += bz
     mx += c[1] * bz - c[2] * by
     my += c[2] * bx - c[0] * bz
     mz += c[0] * by - c[1] * bx

@@ -94,7 +94,7 @@ class Physics(NamedTuple):
     thrust_constant: float = 0.0  # N added per turning rotor
     thrust_exponent: float = 2.0  # of thrust over rotor speed; any but 2 is applied about HOVER_SPEED
     axial_gain: float = 0.0  # N s2/(m rad), extra thrust change -k W V_climb per rotor
-    translational_gain: float = 0.0  # N s2/m2, extra lift k (u2 + v2)
+    translational_gain: float = 0.0  # N s2/m2, extra thrust k (u2 + v2) of all rotors, by the flow at each hub
     ground_gain: float = 0.0  # c of T/T0 = 1/(1 - c (R/4z)^2)
     proximity_gain: float = 0.0  # share of thrust lost at a wall of the room
     room: np.ndarray = np.array([5.0, 5.0, 5.0])  # (3,) m, half length north, half length east, height

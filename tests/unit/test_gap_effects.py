@@ -123,7 +123,7 @@ CASES = {
     "rotor_drag": ({"k": 1e-5}, {"k": 1e-5, "lever": 0.0}, 0.02),  # the hubs' height is configured
     "body_drag": ({"c": 0.02}, {"c": 0.02, "cz": -0.02 * 0.004}, 0.01),  # it acts 4 mm above the cg
     "blade_flapping": ({"k": 3e-7}, {"k": 3e-7}, 0.02),
-    "translational_lift": ({"k": 0.01}, {"k": 0.01}, 0.02),
+    "translational_lift": ({"k": 0.01}, {"k": 0.01}, 0.06),  # some is lost in the wakes of the rotors ahead
     "axial_inflow": ({"k": 3e-5}, {"k": 3e-5}, 0.05),
     "thrust_curve": ({"c1": 3e-5}, {"c1": 3e-5}, 0.05),
     "thrust_factor": ({"factor": 0.97}, {"factor": -0.03}, 0.2),
