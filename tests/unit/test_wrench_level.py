@@ -401,6 +401,39 @@ def test_mass_and_inertia_that_grow_in_proportion_may_be_weaker_rotors(share, ti
     assert sought._with_weaker_rotors([turned], [], effects, Rotors(), about) == ([turned], [])
 
 
+@pytest.mark.parametrize(("share", "tied"), [(-0.07, True), (-0.02, False)])
+def test_weaker_rotors_and_less_inertia_in_proportion_may_be_another_mass(share, tied):
+    """With 8 % more mass, seven per cent less thrust, and moments that it did not change."""
+    effects = {n: catalogue()[n] for n in ("mass", "inertia", "thrust_factor", "rotor_speed_scale")}
+    own = np.diag([9e-4, 1.1e-3, 1.7e-3])
+
+    class Rotors:
+        columns = SimpleNamespace(causes={"mass": [0]})
+
+        def pooled(self, since):
+            return []
+
+        def test(self, offer, given, pooled):
+            assert offer == Candidate("mass", "changed", (0,)) and not given
+            return tests_on.Test(offer, np.array([0.034]), np.eye(1), 1.0, 400.0, 1e-20)
+
+    def tested(cause, sizes, stds):
+        offer = Candidate(cause, "changed", tuple(range(len(sizes))))
+        return tests_on.Test(offer, np.array(sizes), np.diag(np.square(stds)), 1.0, 100.0, 1e-9)
+
+    turned = Named(tested("inertia", share * np.diag(own), 0.004 * np.diag(own)), [])
+    tie = Tie(
+        [tested("thrust_factor", [-0.07, -0.07], [0.005, 0.02]), tested("rotor_speed_scale", [0.03], [0.01])], 2.0
+    )
+    about = SimpleNamespace(mass=0.43, inertia=own)
+    found, ties = sought._with_another_mass([turned], [("changed", tie)], effects, Rotors(), about)
+    assert [n.test.offer.cause for n in found] == ([] if tied else ["inertia"])
+    ids = ["mass"] * tied + ["thrust_factor", "rotor_speed_scale"]
+    assert [[t.offer.cause for t in one.tests] for _, one in ties] == [ids]
+    # without an inertia it is what it was
+    assert sought._with_another_mass([], [("changed", tie)], effects, Rotors(), about) == ([], [("changed", tie)])
+
+
 def test_a_component_that_is_not_there_moves_a_wind_by_little():
     old, new = {"north": 2.4, "east": -1.8, "down": -0.6}, {"north": 2.4, "east": -1.8, "down": 0.0}
     assert sought._moved(catalogue()["wind"], new, old) == pytest.approx(0.6 / np.sqrt(2.4**2 + 1.8**2 + 0.6**2))

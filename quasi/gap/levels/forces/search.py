@@ -92,6 +92,7 @@ def seek(
     named, ties, twins = _with_twins(named, ties, contradicted, asked, mixed)
     contradicted = {name: why for name, why in contradicted.items() if name not in twins}
     named, ties = _with_weaker_rotors(named, ties, asked, mixed, flown)
+    named, ties = _with_another_mass(named, ties, asked, mixed, flown)
     level, ranking = selection.level, selection.ranking
     return Sought(study, mixed, values, named, ties, ranking, level, contradicted, selection.rejected, flown, rules)
 
@@ -213,23 +214,50 @@ def _with_weaker_rotors(
         pair = [n for n in rest if n.test.offer.since == since and n.test.offer.cause in own]
         if {n.test.offer.cause for n in pair} != set(own):
             continue
-        sizes = [
-            (value / own[n.test.offer.cause][name], std / own[n.test.offer.cause][name])
-            for n in pair
-            for name, value, std in zip(
-                (asked[n.test.offer.cause].fitted[k] for k in n.test.offer.which), n.test.value, n.test.std
-            )
-            if name in own[n.test.offer.cause]
-        ]
-        share, error = np.array(sizes).T
-        mean = (share / error**2).sum() / (error**-2.0).sum()
-        if chi2.sf((((share - mean) / error) ** 2).sum(), len(share) - 1) < ALL_NEEDED_P:
+        if not _in_proportion([n.test for n in pair], own, asked):
             continue
         rest = [n for n in rest if n not in pair]
         rotors = Candidate("thrust_factor", since, (0, 1))
         test = mixed.test(rotors, offers_of(rest, tied), mixed.pooled(since))
         tied.append((since, Tie([test, *(n.test for n in pair)], 0.0)))
     return rest, tied
+
+
+def _with_another_mass(
+    named: Sequence[Named], ties: Sequence[tuple[str, Tie]], asked: Mapping[str, Effect], mixed: MixedModel,
+    flown: Vehicle,
+) -> tuple[list[Named], list[tuple[str, Tie]]]:  # fmt: skip
+    """Named causes and ties: rotors that do less of all, and moments of inertia that shrank in proportion, are a mass
+    that grew: the other half of what `_with_weaker_rotors` says."""
+    own = {"thrust_factor": {"factor": 1.0}}
+    own |= {"inertia": {f"I{a}{a}": flown.inertia[k, k] for k, a in enumerate("xyz")}}
+    rest, tied = list(named), []
+    for since, tie in ties:
+        first = tie.tests[0]
+        turned = [n for n in rest if (n.test.offer.cause, n.test.offer.since) == ("inertia", since)]
+        fits = first.offer.cause == "thrust_factor" and turned and "mass" in mixed.columns.causes
+        if fits and _in_proportion([first, turned[0].test], own, asked):
+            rest.remove(turned[0])
+            others = [(s, t) for s, t in ties if t is not tie]
+            mass = mixed.test(Candidate("mass", since, (0,)), offers_of(rest, others), mixed.pooled(since))
+            tie = tie._replace(tests=[mass, *(t for t in tie.tests if t.offer.cause != "mass")], separability=0.0)
+        tied.append((since, tie))
+    return rest, tied
+
+
+def _in_proportion(tests: Sequence[Test], own: Mapping[str, Mapping[str, float]], asked: Mapping[str, Effect]) -> bool:
+    """Whether what causes change is, within its errors, one share of what was there. own  {cause: {parameter: it}}"""
+    sizes = [
+        (value / own[test.offer.cause][name], std / own[test.offer.cause][name])
+        for test in tests
+        for name, value, std in zip(
+            (asked[test.offer.cause].fitted[k] for k in test.offer.which), test.value, test.std
+        )
+        if name in own[test.offer.cause]
+    ]  # fmt: skip
+    share, error = np.array(sizes).T
+    mean = (share / error**2).sum() / (error**-2.0).sum()
+    return bool(chi2.sf((((share - mean) / error) ** 2).sum(), len(share) - 1) >= ALL_NEEDED_P)
 
 
 def _tied_with(one: str, other: str, ties: Sequence[tuple[str, Tie]]) -> bool:
