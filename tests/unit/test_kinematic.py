@@ -8,13 +8,14 @@ import pytest
 from clarity import clear
 from made_motion import at_times, body
 from scipy.interpolate import CubicSpline
+from scipy.signal import fftconvolve
 from scipy.spatial.transform import Rotation, Slerp
 
 from quasi import attitude
 from quasi.airframe import Airframe
 from quasi.errors import DataError
 from quasi.gap.flights.level import Flown
-from quasi.gap.levels.sensors.columns import weak_form, windows
+from quasi.gap.levels.sensors.columns import SIGMA, noise_free, weak_form, windows
 from quasi.gap.levels.sensors.findings import shaken, torn
 from quasi.gap.levels.sensors.identify import NORMAL_SPREAD, examine, size_of
 from quasi.gap.statistics.mixed import Candidate
@@ -301,3 +302,24 @@ def test_gaps_of_the_log_are_a_finding_and_vibration_beyond_the_reference_flight
     references = [flown(s, compared=False) for s in (1, 2, 3)]
     assert [f["id"] for f in shaken([*references, *shaking])] == ["vibration"]
     assert not shaken([*references, *(flown(s) for s in (1, 2, 3))])
+
+
+def test_what_instruments_predict_of_a_small_signal_holds_no_noise():
+    """Twenty weights on some two hundred independent averages: of noise three times the signal they would hold a lot."""
+    shares = []
+    for seed in range(8):
+        rng = np.random.default_rng(seed)
+        window, lag, rows = windows(SIGMA, 250.0)[0], round(6.0 * SIGMA * 250.0), 11000
+
+        def smooth(columns, size, kernel, rng=rng, rows=rows):
+            made = fftconvolve(rng.standard_normal((rows, columns)), kernel[:, None], mode="same", axes=0)
+            return size * made / made.std()
+
+        noise, slow = smooth(3, 0.16, window), smooth(3, 0.05, np.ones(400))
+        good = np.ones(rows, bool)
+        good[4000:4080] = False
+        more = list(smooth(7, 1.0, window).T)
+        predicted = noise_free(slow + noise, slow + smooth(3, 0.16, window), more, good, lag)
+        predicted -= predicted.mean(axis=0)
+        shares.append(np.sum(predicted * noise) / np.sum(predicted**2))
+    assert abs(np.mean(shares)) < 0.15

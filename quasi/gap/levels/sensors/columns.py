@@ -100,22 +100,31 @@ def noise_free(
             residual holds too, and a column made of them would be estimated too large by noise over signal power
     more    further columns (n,) with noise of their own (rotor speeds); good (n,) rows that may be used; lag  samples
     Instruments are both signals `lag` samples before and after, where the noise is another, and `more`.
-    Source: Wooldridge, Econometric Analysis of Cross Section and Panel Data, 2nd ed., 2010, chapter 5 (two-stage least
-    squares).
+    What they predict of a stretch of `lag` is learnt without it and its neighbours, whose noise it shares: twenty
+    weights of two hundred independent averages hold a tenth of the noise, which is a large part of a small signal.
+    Sources: Wooldridge, Econometric Analysis of Cross Section and Panel Data, 2nd ed., 2010, chapter 5 (two-stage least
+    squares); Angrist, Imbens & Krueger, Jackknife instrumental variables estimation, J. Appl. Econometrics 14, 1999.
     """
     rows = np.arange(len(values))
-    usable = good & np.roll(good, lag) & np.roll(good, -lag)
-    usable[:lag] = usable[len(usable) - lag :] = False
+    # the averages that instruments are reach a window beyond them
+    usable = np.convolve(~good, np.ones(4 * lag + 1), "same") < 0.5
+    usable[: 2 * lag] = usable[max(len(usable) - 2 * lag, 0) :] = False
     if np.count_nonzero(usable) < FEWEST_KEPT:
         return values
     before, after = np.maximum(rows - lag, 0), np.minimum(rows + lag, len(rows) - 1)
     instruments = np.column_stack(
         [np.ones(len(rows)), values[before], values[after], other[before], other[after], *more]
     )
-    scale = np.maximum(np.sqrt(np.mean(instruments[usable] ** 2, axis=0)), 1e-12)
-    instruments = instruments / scale
-    weights = np.linalg.lstsq(instruments[usable], values[usable], rcond=1e-9)[0]
-    return instruments @ weights
+    instruments /= np.maximum(np.sqrt(np.mean(instruments[usable] ** 2, axis=0)), 1e-12)
+    known, target = instruments * usable[:, None], values * usable[:, None]
+    predicted = np.tile(values[usable].mean(axis=0), (len(rows), 1))
+    whole = known.T @ known, known.T @ target
+    for start in range(0, len(rows), lag):
+        near = slice(max(start - lag, 0), start + 2 * lag)
+        inner, right = (total - known[near].T @ of[near] for total, of in zip(whole, (known, target)))
+        own = start + np.flatnonzero(usable[start : start + lag])
+        predicted[own] = instruments[own] @ np.linalg.lstsq(inner, right, rcond=1e-12)[0]
+    return predicted
 
 
 def least_noise(raw: np.ndarray, rates: np.ndarray, other: np.ndarray, good: np.ndarray, rate: float) -> np.ndarray:
