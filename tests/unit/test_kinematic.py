@@ -305,7 +305,7 @@ def test_gaps_of_the_log_are_a_finding_and_vibration_beyond_the_reference_flight
 
 
 def test_what_instruments_predict_of_a_small_signal_holds_no_noise():
-    """Twenty weights on some two hundred independent averages: of noise three times the signal they would hold a lot."""
+    """Twenty weights on two hundred independent averages hold a tenth of a noise that is three times the signal."""
     shares = []
     for seed in range(8):
         rng = np.random.default_rng(seed)
