@@ -200,7 +200,7 @@ def film(motion: Motion, sensors: Sensors, rng: np.random.Generator) -> Capture:
     noise = Rotation.from_rotvec(rng.normal(0.0, sensors.attitude_noise, (len(seen), 3)))
     shown = turns(seen - sensors.capture_delay - sensors.attitude_delay) * turn * noise
     attitude = shown.as_quat()
-    for start in rng.uniform(8.0, seen[-1] - 8.0, sensors.gaps):
+    for start in rng.uniform(0.2, 0.8, sensors.gaps) * seen[-1]:
         gone = (seen > start) & (seen < start + 0.3)
         where[gone], attitude[gone] = np.nan, np.nan
     return Capture(seen, where, attitude)

@@ -70,6 +70,7 @@ def plain(t, x, wanted, air, p):
 
         equilibrium = brentq(mismatch, max(-climb, 0.0) + 1e-9, 60.0, xtol=1e-12)
         thrust = blade(v) + min(w / 300, 1) * (p.thrust_constant + p.thrust_per_speed * w) - p.axial_gain * w * climb
+        thrust += p.translational_gain / 4 * (inplane @ inplane)
         ratio = -climb / hover
         lost = math.sin(math.pi * ratio / 2) ** 2 * math.exp(-(inplane @ inplane) / hover**2) if 0 < ratio < 2 else 0.0
         thrust *= p.thrust_gain[i] * (1 + p.thrust_drift * t)
@@ -98,7 +99,7 @@ def plain(t, x, wanted, air, p):
     speed = np.linalg.norm(body)
     drag = -p.body_drag * speed * body - [0, 0, p.body_lift * speed * body[0]]
     moment += np.cross(p.drag_centre, drag)
-    force += drag - [0, 0, p.translational_gain * plane**2]
+    force += drag
     earth = -p.tether * position
     load = np.zeros(3)
     if p.load_mass:
