@@ -106,9 +106,9 @@ def noise_free(
     squares); Angrist, Imbens & Krueger, Jackknife instrumental variables estimation, J. Appl. Econometrics 14, 1999.
     """
     rows = np.arange(len(values))
-    # the averages that instruments are reach a window beyond them
-    usable = np.convolve(~good, np.ones(4 * lag + 1), "same") < 0.5
-    usable[: 2 * lag] = usable[max(len(usable) - 2 * lag, 0) :] = False
+    usable = good & np.roll(good, lag) & np.roll(good, -lag)
+    edge = 2 * lag  # instruments from nearer the ends of the log are averages of less than a window
+    usable[:edge] = usable[max(len(usable) - edge, 0) :] = False
     if np.count_nonzero(usable) < FEWEST_KEPT:
         return values
     before, after = np.maximum(rows - lag, 0), np.minimum(rows + lag, len(rows) - 1)
@@ -117,7 +117,8 @@ def noise_free(
     )
     instruments /= np.maximum(np.sqrt(np.mean(instruments[usable] ** 2, axis=0)), 1e-12)
     known, target = instruments * usable[:, None], values * usable[:, None]
-    predicted = np.tile(values[usable].mean(axis=0), (len(rows), 1))
+    predicted = instruments @ np.linalg.lstsq(instruments[usable], values[usable], rcond=1e-9)[0]
+    predicted[:edge] = predicted[max(len(rows) - edge, 0) :] = values[usable].mean(axis=0)
     whole = known.T @ known, known.T @ target
     for start in range(0, len(rows), lag):
         near = slice(max(start - lag, 0), start + 2 * lag)
