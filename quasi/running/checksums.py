@@ -66,7 +66,7 @@ class Checksums:
 def read_once(files: type) -> None:
     """Let a class of Snakemake (`_IOFile`) read an unchanged file once per run.
 
-    For each output of a job Snakemake reads all inputs anew: 100 MB of flights for each of 30 figures.
+    For each output of each job Snakemake reads all inputs anew: 100 MB of flights for each of the seven of the scores.
     """
     original = files.checksum  # type: ignore[attr-defined]
     known: dict[tuple, str | None] = {}

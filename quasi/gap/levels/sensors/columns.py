@@ -116,13 +116,13 @@ def noise_free(
         [np.ones(len(rows)), values[before], values[after], other[before], other[after], *more]
     )
     instruments /= np.maximum(np.sqrt(np.mean(instruments[usable] ** 2, axis=0)), 1e-12)
-    known, target = instruments * usable[:, None], values * usable[:, None]
+    used, target = instruments * usable[:, None], values * usable[:, None]
     predicted = instruments @ np.linalg.lstsq(instruments[usable], values[usable], rcond=1e-9)[0]
     predicted[:edge] = predicted[max(len(rows) - edge, 0) :] = values[usable].mean(axis=0)
-    whole = known.T @ known, known.T @ target
+    whole = used.T @ used, used.T @ target
     for start in range(0, len(rows), lag):
         near = slice(max(start - lag, 0), start + 2 * lag)
-        inner, right = (total - known[near].T @ of[near] for total, of in zip(whole, (known, target)))
+        inner, right = (total - used[near].T @ of[near] for total, of in zip(whole, (used, target)))
         own = start + np.flatnonzero(usable[start : start + lag])
         predicted[own] = instruments[own] @ np.linalg.lstsq(inner, right, rcond=1e-12)[0]
     return predicted
