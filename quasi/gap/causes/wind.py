@@ -38,7 +38,7 @@ EFFECT = Effect(
     equation="V = V_ground - R' W",
     source="definition of airspeed",
     parameters={name: Parameter("m/s", 0.0, "f", -15.0, 15.0, None if name == "down" else 1.0) for name in WINDS},
-    channels=("Fx", "Fy"),
+    channels=("Fx", "Fy", "Fz"),
     rivals=("accelerometer_bias", "room_tilt", "tether"),
     tie_breaker="out and back, and a yaw sweep",
     columns=_columns,
