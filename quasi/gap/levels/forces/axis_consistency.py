@@ -37,7 +37,8 @@ def voices(
     the standard errors by segments and by whole flights.
 
     Every axis has an amount of its own at the same time: what another axis shows of the cause would else be put into
-    the base, where all flights have it alike, and be missed from this one.
+    the base, where all flights have it alike, and be missed from this one. Of a change, what all flights have alike on
+    an axis belongs to the base as well: it would else count as a spread between the flights.
     pooled  causes whose columns belong to the base, as in `MixedModel.test`; channels  axes that have a say: on others
     a cause only takes up what the model makes of its signals
     """
@@ -54,12 +55,13 @@ def voices(
     layout = study.columns._replace(causes=study.columns.causes | names)
     mixed = ClusteredMixedModel(grams, compared, layout, sessions=[f.session for f in study.flights])
     offers = [Candidate(axis, test.offer.since, (0,)) for axis in names]
+    base = [*pooled, *names] if test.offer.since == "changed" else list(pooled)
     result = []
     for axis, offer in zip(names, offers):
         if axis not in channels:
             continue
         others = [*given, *(o for o in offers if o != offer)]
-        found, between = mixed.test(offer, others, pooled), mixed.between(offer, others, pooled)
+        found, between = mixed.test(offer, others, base), mixed.between(offer, others, base)
         result.append(Voice(axis, float(found.value[0]), float(max(found.std[0], between.std[0]))))
     return result
 
