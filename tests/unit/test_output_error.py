@@ -1,23 +1,16 @@
-"""Output error and confirmation: flights of a plain simulation written apart, with nuisance, gusts and noise.
-
-The vehicle: attitude as a matrix turned by Rodrigues' formula, velocity in earth axes, steps of Heun; thrust and drag
-rotor by rotor. It is held near hover by a plain controller and shaken by known references.
-"""
+"""Output error and confirmation on flights of a plain simulation, see `plain_flights`."""
 
 import dataclasses
-import math
 from types import SimpleNamespace
 
 import numpy as np
-import pandas as pd
 import pytest
-from plain_plant import made_model
+from plain_flights import flown, simple_model
 
 from quasi.errors import DataError
 from quasi.gap.catalogue import catalogue
 from quasi.gap.effect import vehicle_of
 from quasi.gap.flights.gathering import gather
-from quasi.gap.levels.forces.axis_consistency import Voice, contradiction, disagreement, hear, p_together, voices
 from quasi.gap.levels.forces.design import gather_design
 from quasi.gap.levels.rollouts import open_loop, output_error
 from quasi.gap.levels.rollouts.confirmation import (
@@ -37,111 +30,12 @@ from quasi.gap.materiality import Cause
 from quasi.gap.statistics import mixed
 from quasi.model.model import Model
 
-G, RATE, SECONDS = 9.81, 200.0, 20.0
 EFFECTS = {n: catalogue()[n] for n in ("rotor_effectiveness", "cg_offset", "body_drag", "tether")}
 
 
 @pytest.fixture(scope="module")
 def model():
-    made = made_model(reaction=0.0)
-    thrust = -next(t["coefficient"] for t in made.document["axes"]["Fz"]["terms"] if "w2_1" in t["expression"])
-    simple = {"kappaFz": {"value": thrust, "std": 0.0}, "kappaMz": {"value": -0.012 * thrust, "std": 0.0}}
-    return Model({**made.document, "simple model": simple}, "made")
-
-
-def turned(axis, angle):
-    """Rodrigues' formula."""
-    x, y, z = axis
-    k = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
-    return np.eye(3) + math.sin(angle) * k + (1 - math.cos(angle)) * k @ k
-
-
-def angles(turn):
-    """Roll, pitch, yaw of a matrix, 3-2-1."""
-    return math.atan2(turn[2, 1], turn[2, 2]), -math.asin(turn[2, 0]), math.atan2(turn[1, 0], turn[0, 0])
-
-
-def across(a, b):
-    """Vector product."""
-    return np.array([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
-
-
-def flown(model, seed, share=1.0, drag=0.0, seconds=SECONDS):
-    """A filtered flight: rotor 2 makes `share` of its thrust; `drag` N s2/m2 |V| V on top of the model's own."""
-    rng = np.random.default_rng(seed)
-    of = {a: {t["expression"]: t["coefficient"] for t in p["terms"]} for a, p in model.document["axes"].items()}
-    frame = model.airframe
-    mass, inertia, hubs = frame.mass, np.asarray(frame.inertia), np.asarray(frame.hubs)
-    spin, k, arm = np.asarray(frame.spin), -of["Fz"]["w2_1 + w2_2 + w2_3 + w2_4"], 0.0544
-    inverse, dt, n = np.linalg.inv(inertia), 1.0 / RATE, int(seconds * RATE)
-    own = rng.standard_normal(6) * np.r_[np.full(3, 0.004), np.full(3, 3e-5)]  # constant, this flight's
-    heavier = 1.0 + 0.005 * rng.standard_normal()
-    gust, shape = np.zeros(6), np.r_[np.full(3, 0.03), np.full(3, 3e-4)]
-    phase, tone = rng.uniform(0, 6.3, (2, 4, 3))
-
-    def wrench(turn, v, w, speeds, gust):
-        u = turn.T @ v
-        thrust = k * speeds**2
-        thrust[1] *= share
-        force = np.array([of["Fx"]["u"] * u[0], of["Fy"]["v"] * u[1], of["Fz"]["w"] * u[2] - thrust.sum()])
-        moment = np.array([
-            of["Mx"]["p"] * w[0] + of["Mx"]["v"] * u[1] - hubs[:, 1] @ thrust,
-            of["My"]["q"] * w[1] + of["My"]["u"] * u[0] + hubs[:, 0] @ thrust,
-            of["Mz"]["r"] * w[2] - 0.012 * k * (spin @ speeds**2),
-        ])  # fmt: skip
-        force = force - drag * np.linalg.norm(u) * u
-        extra = own + gust
-        return force + extra[:3], moment + extra[3:]
-
-    def slope(turn, v, w, speeds, gust):
-        force, moment = wrench(turn, v, w, speeds, gust)
-        return turn @ force / (mass * heavier) + [0, 0, G], inverse @ (moment - across(w, inertia @ w)), force, moment
-
-    turn, v, w, x = np.eye(3), np.zeros(3), np.zeros(3), np.array([0.0, 0.0, -1.0])
-    speeds, rows = np.full(4, 1500.0), []
-    for i in range(n):
-        t = i * dt
-        swing = np.array([np.sin(0.9 * (j + 1) * t * (1 + 0.1 * tone[j]) + phase[j]) for j in range(4)]).sum(axis=0)
-        wanted = np.array([0.12, 0.12, 0.3]) * swing
-        roll, pitch, _ = angles(turn)
-        back = np.clip(turn.T @ (0.25 * (-x - np.array([0, 0, 1.0])) - 0.35 * v), -0.5, 0.5)
-        aim = np.array([wanted[0] + 0.3 * back[1], wanted[1] - 0.3 * back[0]])
-        command = np.array([60 * (aim[0] - roll), 60 * (aim[1] - pitch), 8 * (wanted[2] - w[2])]) - [15, 15, 0] * w
-        need = inertia @ command
-        lift = mass * (G + 1.5 * swing[2] * 0.6 - 4 * back[2]) / max(turn[2, 2], 0.5)
-        squares = lift / (4 * k) + (
-            -np.sign(hubs[:, 1]) * need[0] / arm + np.sign(hubs[:, 0]) * need[1] / arm - spin * need[2] / 0.012
-        ) / (4 * k)
-        new = speeds + (np.sqrt(np.clip(squares, 4e5, 6e6)) - speeds) * dt / 0.03
-        a, b, force, moment = slope(turn, v, w, speeds, gust)
-        rows.append([t, *angles(turn), *(turn.T @ v), *w, *x, *speeds, *((new - speeds) / dt),
-                     *(mass / (mass * heavier) * force), *moment])  # fmt: skip
-        rate = np.linalg.norm(w)
-        after = turn @ turned(w / rate, rate * dt) if rate > 1e-9 else turn
-        c, d, *_ = slope(after, v + dt * a, w + dt * b, new, gust)
-        middle = w + 0.25 * dt * (b + d)
-        rate = np.linalg.norm(middle)
-        turn = turn @ turned(middle / rate, rate * dt) if rate > 1e-9 else turn
-        x = x + dt * v + 0.25 * dt**2 * (a + c)
-        v, w, speeds = v + 0.5 * dt * (a + c), w + 0.5 * dt * (b + d), new
-        gust = gust - gust * dt / 0.5 + shape * math.sqrt(2 * dt / 0.5) * rng.standard_normal(6)
-    names = ["t", "roll", "pitch", "yaw", "u", "v", "w", "p", "q", "r", "x", "y", "z"]
-    names += [f"w{i}" for i in range(1, 5)] + [f"w{i}_dot" for i in range(1, 5)] + ["Fx", "Fy", "Fz", "Mx", "My", "Mz"]
-    table = pd.DataFrame(rows, columns=names).assign(valid=1.0)
-    noise = {
-        "roll": 1e-3,
-        "pitch": 1e-3,
-        "yaw": 1e-3,
-        "u": 0.005,
-        "v": 0.005,
-        "w": 0.005,
-        "p": 0.01,
-        "q": 0.01,
-        "r": 0.01,
-    }
-    for name, size in noise.items():
-        table[name] += size * rng.standard_normal(n)
-    return table
+    return simple_model()
 
 
 @pytest.fixture(scope="module")
@@ -368,77 +262,3 @@ def test_windows_that_remember_each_other_count_for_fewer():
     assert output_error._repeated(flights, whole.T @ whole / len(whole)) == pytest.approx(2.875, rel=0.05)
     white = [rng.standard_normal((6000, 3))]
     assert output_error._repeated(white, np.eye(3)) == pytest.approx(1.0, abs=0.05)
-
-
-def heard(study, values, which):
-    offer = mixed.Candidate("rotor_effectiveness", "always", which)
-    test = mixed.Test(offer, np.array(values), np.eye(len(which)), 1.0, 1.0, 0.0)
-    return {v.axis: v for v in voices(study, [True] * 3, test, [])}
-
-
-def test_axes_agree_on_the_true_cause_and_contradict_one_that_resembles_it(model, study):
-    """Rotor 2 lacks 5 %: lift and both moments tell it. Of rotor 1 as weak, the lift would tell the same, the moment
-    about the axis that the two rotors lie on either side of the opposite."""
-    true = heard(study, [-0.05], (1,))
-    for axis in ("Mx", "My"):
-        assert true[axis].amount == pytest.approx(1.0, abs=4.0 * true[axis].std)
-        assert true[axis].std < 0.2
-    assert contradiction(list(true.values())) == ""
-    hubs = np.asarray(model.airframe.hubs)
-    assert hubs[0, 0] * hubs[1, 0] < 0 or hubs[0, 1] * hubs[1, 1] < 0
-    opposite = heard(study, [-0.05], (0,))
-    assert min(v.amount for v in opposite.values()) < -0.8
-    assert "one cause acts on both alike" in contradiction(list(opposite.values()))
-
-
-def test_axes_of_what_changed_are_heard_whatever_the_base_would_take_up_of_the_others(model):
-    """The base holds every cause, alike in all flights: of a drag that some have, two of five parts would find their
-    way there by the other axes, and be missed on the one that is heard alone."""
-    about = {"mass": model.airframe.mass, "inertia": model.airframe.inertia}
-    compared = [False] * 3 + [True] * 3
-    tables = [flown(model, 10 + k, drag=0.1 * flag) for k, flag in enumerate(compared)]
-    flights = [gather(f"f{k}", t, about, model.airframe, model, 100.0) for k, t in enumerate(tables)]
-    both = gather_design(flights, EFFECTS, vehicle_of(model))
-    test = mixed.Test(mixed.Candidate("body_drag", "changed", (0,)), np.array([0.1]), np.eye(1), 1.0, 1.0, 0.0)
-    every = both.witnessed(range(6), compared).pooled("changed")
-    assert "body_drag" in every
-    told = voices(both, compared, test, every)
-    assert len([v for v in told if v.std < 0.1]) >= 2
-    for voice in told:
-        assert voice.amount == pytest.approx(1.0, abs=4.0 * voice.std), told
-    # axes without a say do not make a cause significant
-    assert hear(both, compared, test, every, (), [v.axis for v in told])[0] == test.p
-    [loud, *_] = sorted(told, key=lambda v: v.std)
-    assert hear(both, compared, test, every, (), [loud.axis])[0] == p_together([loud], 1) > test.p
-    assert hear(both, compared, test, every, (), [])[0] == 1.0
-
-
-def test_what_contradicts_a_cause_is_a_sure_axis_with_the_other_sign():
-    assert contradiction([Voice("Fz", 1.0, 0.1), Voice("My", -0.9, 0.1)])
-    assert not contradiction([Voice("Fz", 1.0, 0.1), Voice("My", -0.9, 0.4)])  # could not have seen it
-    assert not contradiction([Voice("Fz", 1.0, 0.1), Voice("My", -0.2, 0.05)])  # sure, but small
-    assert not contradiction([Voice("Fz", 1.0, 0.3), Voice("My", 0.0, 0.05)])
-
-
-def test_axes_that_differ_widen_standard_errors_by_how_much_they_do():
-    """Two axes 0.6 apart, each known to 0.1: their mean is known to half of that, 0.3, instead of 0.07."""
-    apart = [Voice("Fx", 1.0, 0.1), Voice("Fz", 0.4, 0.1)]
-    joint = 0.1 / 2.0**0.5
-    assert joint * disagreement(apart, joint**-2) == pytest.approx(0.3, rel=1e-9)
-    assert joint * disagreement([*apart, Voice("Mz", 0.7, 5.0)], joint**-2) == pytest.approx(0.3)  # which says nothing
-    # a test that is less sure by itself holds part of it already
-    assert 0.5 * disagreement(apart, 0.5**-2) == pytest.approx((0.25 + 0.09 - joint**2) ** 0.5)
-    assert disagreement([Voice("Fx", 1.0, 0.1), Voice("Fz", 0.9, 0.1)], 100.0) == 1.0
-    assert disagreement([Voice("Fx", 1.0, 0.1)], 100.0) == 1.0
-
-
-def test_axes_that_all_show_a_cause_name_it_although_none_agrees_within_its_own_standard_error():
-    """An inertia of which three axes show 1.16, 0.81 and 1.15, known to 3 %: its form errs by a sixth, it is there."""
-    heard = [Voice("Mx", 1.16, 0.14), Voice("My", 0.81, 0.03), Voice("Mz", 1.15, 0.02)]
-    assert 5.0 < 434.0**0.5 / disagreement(heard, 434.0) < 12.0
-
-
-def test_the_axes_together_are_tested_by_their_weighted_mean():
-    """Mean of 1.0 +- 0.5 and 0.5 +- 0.5: 0.75 +- 0.354, which is 2.12 standard errors."""
-    assert p_together([Voice("Fx", 1.0, 0.5), Voice("Fz", 0.5, 0.5)], 1) == pytest.approx(0.0339, abs=1e-4)
-    assert p_together([], 1) == 1.0
