@@ -1,7 +1,7 @@
 """Faults planted in raw logs of an independent generator: are they named, with their size, and nothing else?
 
-    python benchmarks/bed_plants.py BED [--plants mass ...] [--commands-only] [--out results/benchmarks/bed_plants]
-                                    [--record]
+    python benchmarks/bed_plants.py BED [--plants mass ...] [--commands-only] [--everywhere]
+                                    [--out results/benchmarks/bed_plants] [--record]
 
 BED is a fault-free set (a folder or archive, see beds.py). Rows 2 to 5 of its logbook make the model and are the
 reference flights; rows 6 to 9 get the plant, and row 9 is held out. A plant changes a stream of the raw log as it is
@@ -9,6 +9,9 @@ read, or the configured vehicle: no physics of ours is involved. One JSON per pl
 
 --commands-only withholds the rotor speeds of every flight. What is planted in speeds is then planted in the commands: a
 rotor that is commanded more for the same thrust is a weak one.
+
+--everywhere plants the fault in all rows, and takes no reference flights: the model is made of what it is asked about.
+Most of a fault then is in the model. It is right to name nothing, or the plant, and wrong to name anything else.
 """
 
 import argparse
@@ -24,7 +27,7 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import numpy as np
 import pandas as pd
-from beds import FIRST, SECOND, unpack
+from beds import FIRST, OF_THE_AIRFRAME, SECOND, unpack
 from hidden import Recorded, identified, processed
 from hide_and_seek import SETTINGS, seek
 from measured_table import record
@@ -221,30 +224,32 @@ def find_flights(bed: Path) -> dict[int, Recorded]:
     return found
 
 
-def draw(name: str, bed: Path, telemetry: bool) -> dict[str, Any]:
+def draw(name: str, bed: Path, telemetry: bool, everywhere: bool) -> dict[str, Any]:
     """Plant and diagnose."""
     plant, flights, gather = PLANTS[name], find_flights(bed), importing.gather
-    planted = {flights[row].source["flight"] for row in SECOND}
+    rows = (*FIRST, *SECOND) if everywhere else SECOND
+    planted = {flights[row].source["flight"] for row in rows}
 
     def gather_planted(recording: Any, where: str, *others: Any) -> Onboard:
         board = gather(recording, where, *others)
         board = board if telemetry else without_speeds(board)
         return plant.change(board) if plant.change is not None and where in planted else board
 
-    for row in SECOND:
+    for row in rows:
         flights[row].quadrotor.update(copy.deepcopy(plant.configure))
     importing.gather = gather_planted
     try:
         flown = {row: processed(recorded, row in SECOND) for row, recorded in flights.items()}
         model = Model(identified([flown[row] for row in FIRST]))
-        *learned, held = [(flights[row], flown[row]) for row in (*FIRST, *SECOND)]
-        document, _ = seek(learned, held, model, "given", SETTINGS)
+        compared = SECOND if everywhere else (*FIRST, *SECOND)
+        *learned, held = [(flights[row], flown[row]) for row in compared]
+        document, _ = seek(learned, held, model, "none" if everywhere else "given", SETTINGS)
     finally:
         importing.gather = gather
     return {k: document[k] for k in ("verdict", "summary", "effects", "ties", "unexplained", "losses", "candidates")}
 
 
-def judge(name: str, found: dict[str, Any], telemetry: bool) -> dict[str, Any]:
+def judge(name: str, found: dict[str, Any], telemetry: bool, everywhere: bool) -> dict[str, Any]:
     """Whether all planted causes are named or stand in a tie, what else is named, and errors of what is stated."""
     plant, named = PLANTS[name], {e["id"]: e["parameters"] for e in found["effects"]}
     if not telemetry and plant.change is not None:  # how thrust follows a command is the model's to say
@@ -261,6 +266,9 @@ def judge(name: str, found: dict[str, Any], telemetry: bool) -> dict[str, Any]:
         k: (own["value"] - plant.values[k]) / own["std"]
         for i in plant.right[:1] for k, own in named.get(i, {}).items() if k in plant.values and own["std"]
     }  # fmt: skip
+    if everywhere:  # the model holds the fault, or part of it
+        wrong = [i for i in wrong if i not in OF_THE_AIRFRAME]
+        return {"right": not wrong, "wrong": wrong, "in std": {}}
     return {"right": (all(there) if both else any(there)) or not plant.right, "wrong": wrong, "in std": errors}
 
 
@@ -270,14 +278,19 @@ def main() -> None:
     parser.add_argument("bed", type=Path)
     parser.add_argument("--plants", nargs="*", default=[], help="parts of names; all without")
     parser.add_argument("--commands-only", action="store_true", help="withhold the rotor speeds")
+    parser.add_argument("--everywhere", action="store_true", help="plant in all rows, no row is a reference")
     parser.add_argument("--out", type=Path, default=ROOT / "results/benchmarks/bed_plants")
     parser.add_argument("--record", action="store_true", help="store the figures for docs/measured.md")
     arguments = parser.parse_args()
     bed = unpack(arguments.bed, arguments.out)
     names = [n for n in PLANTS if not arguments.plants or any(p in n for p in arguments.plants)]
-    telemetry, out = not arguments.commands_only, arguments.out / ("commands-only" if arguments.commands_only else "")
-    results = run([{"plant": n} for n in names], lambda s: draw(s["plant"], bed, telemetry), out, Path(__file__))
-    judged = {name: judge(name, found, telemetry) for name, found in zip(names, results)}
+    telemetry, everywhere = not arguments.commands_only, arguments.everywhere
+    kind = "bed_plants" + ("_by_commands" if arguments.commands_only else "") + ("_everywhere" if everywhere else "")
+    out = arguments.out / kind.removeprefix("bed_plants").strip("_").replace("by_commands", "commands-only")
+    results = run(
+        [{"plant": n} for n in names], lambda s: draw(s["plant"], bed, telemetry, everywhere), out, Path(__file__)
+    )  # fmt: skip
+    judged = {name: judge(name, found, telemetry, everywhere) for name, found in zip(names, results)}
     for name, found in zip(names, results):
         one = judged[name]
         print(f"{name}: {'right' if one['right'] else 'MISSED'}, {found['verdict']}"
@@ -300,7 +313,7 @@ def main() -> None:
     }  # fmt: skip
     print(values)
     if arguments.record:
-        record("bed_plants" if telemetry else "bed_plants_by_commands", values)
+        record(kind, values)
 
 
 if __name__ == "__main__":
