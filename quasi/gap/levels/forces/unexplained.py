@@ -171,8 +171,8 @@ def outdone(
     """Why a cause gives way to what no cause explains, or nothing.
 
     It gives way to a more significant function of a place, in one of its own channels, with which it is not significant
-    any more; and to a function that adds more to the cause than the cause adds to the function: of the two the cause is
-    the worse description. A place that the model's own terms depend on may be the form of a cause that is not quite
+    any more; and to a function that takes most of it and adds more to it than it adds to the function: of the two the
+    cause is the worse description. What takes little of it is there as well, the form of another cause, say. A place that the model's own terms depend on may be the form of a cause that is not quite
     right, and does not count.
     left    found with the cause given; offers  of all causes that were given; p of the cause, which passed level
     rate    family-wise false alarm rate of functions
@@ -190,7 +190,9 @@ def outdone(
         pooled = [place.name] if place.since == "changed" else []
         cause = mixed.test(asked, [*others, offer_of(place)], pooled)
         function = tested(grounds, compared, offers, [], place)
-        if (place in found and cause.p >= level) or function.p < min(level_of(grounds, compared, rate), cause.p):
+        adds_more = function.p < min(level_of(grounds, compared, rate), cause.p)
+        takes_most = adds_more and cause.wald < 0.5 * mixed.test(asked, others, pooled).wald
+        if (place in found and cause.p >= level) or takes_most:
             where = choice.where if choice.where == EVERYWHERE else f"along the {choice.where}"
             return (
                 f"{AXES[k]} differs {where} in a way that no cause explains (p = {function.p:.2g} with the cause "
