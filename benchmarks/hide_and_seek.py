@@ -162,7 +162,7 @@ def seek(
     )  # fmt: skip
     vehicle = vehicle_of(model, room=room_of(SETTINGS["room"]))
     compared = np.array([f.compared for f in flown])
-    return found.document, Asked(found.found.study, vehicle, compared, effects, levels, given == "none")
+    return found.document, Asked(found.found and found.found.study, vehicle, compared, effects, levels, given == "none")
 
 
 def judge(result: Mapping[str, Any]) -> dict[str, Any]:
