@@ -208,7 +208,8 @@ def disturb(place: Path, options: argparse.Namespace, expected: dict[str, str], 
             state["artifacts that differ"] = sorted(set(state["artifacts that differ"]) | differ)
             state["folders"] += 1
             state["open"] = False
-            print(f"folder {state['folders']} finished, {len(differ)} artifacts differ", flush=True)
+            lost = len(differ - made.keys())
+            print(f"folder {state['folders']} finished, {len(differ)} artifacts differ, {lost} of them lost", flush=True)
             lay(folder, options.flights)
         write_json(stored, state)
     return {k: v for k, v in state.items() if k != "open"}
@@ -234,7 +235,7 @@ def main(arguments: list[str] | None = None) -> int:
     print(json.dumps(found, indent=1))
     write_json("results/benchmarks/chaos.json", found)
     if options.record:
-        record("chaos", found)
+        record("chaos", {**found, "unlike": len({*found["artifacts that differ"], *found["half-written"]})})
     faults = ("needed a manual step", "artifacts that differ", "half-written", "did not end")
     return int(any(found[k] for k in faults))
 
