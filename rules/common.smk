@@ -19,6 +19,7 @@ from quasi.pages.index import INDEX_TARGET, list_sources, write_index
 from quasi.running.provenance import compute_code_digest, save_parsed
 from quasi.project.folder import check_project, check_writable, read_settings
 from quasi.running.checksums import Checksums, read_once
+from quasi.running.failed_jobs import mark_incomplete
 from quasi.running.live_runs import (
     explain_lock,
     refuse_unlocking,
@@ -37,14 +38,15 @@ from quasi.project.gaps import describe_run_code
 from quasi.project.workflow import Folder
 
 # parts of Snakemake that are no interface: where a later one has moved them, each job starts Python anew, files are
-# read several times, and Snakemake's own handler answers SIGTERM
+# read several times, what failed jobs leave may count as finished, and Snakemake's own handler answers SIGTERM
 try:
     from snakemake.benchmark import benchmarked
     from snakemake.io import _IOFile
+    from snakemake.jobs import Job
     from snakemake.scheduling.job_scheduler import JobScheduler
     from snakemake.script import PythonScript
 except ImportError:
-    JobScheduler = PythonScript = _IOFile = None
+    JobScheduler = PythonScript = _IOFile = Job = None
 
 PROJECT = os.getcwd()  # at the end of a run it is another one
 FAULTS = []
@@ -164,6 +166,7 @@ if (
 
 if _IOFile is not None:
     read_once(_IOFile)
+    mark_incomplete(Job)
 
 # what the command line gives (--config) comes before the folder's own file
 for key, value in ask(read_settings, "config/config.yaml").items():
