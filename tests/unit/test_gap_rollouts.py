@@ -163,6 +163,22 @@ def test_overlays_show_the_window_that_gained_most_and_are_drawn(model):
     assert list(drawn) == ["overlays"] and len(drawn["overlays"].axes) == 18
 
 
+def test_the_typical_window_is_one_of_those_that_the_extension_changes(model):
+    """A lift that acts at speed alone: half of the windows are slow, and show nothing."""
+    term = {**model.document["axes"]["Fz"]["terms"][0], "expression": "u^2", "coefficient": -0.05, "given": True}
+    axes = {**model.document["axes"]}
+    axes["Fz"] = {**axes["Fz"], "terms": [*axes["Fz"]["terms"], term]}
+    lacking = Model({**model.document, "axes": axes})
+    flight = open_loop.flight_of("a", flown(model))
+    starts = open_loop.windows(flight, 0.5)
+    ends = [open_loop.simulated(m, flight, starts, 0.5)[:, -1, 5] for m in (lacking, model)]
+    usual = np.median(np.abs(ends[1] - ends[0]))
+    found = open_loop.overlays({"before": lacking, "after": model}, [flight], 0.5)
+    typical = found[found["why"] == open_loop.TYPICAL]
+    assert abs(typical["w_before"].iloc[-1] - typical["w_after"].iloc[-1]) > 3.0 * usual
+    np.testing.assert_allclose(typical["w_after"], typical["w_measured"], atol=1e-6)
+
+
 def evidence_of(model, table):
     about = {"mass": model.airframe.mass, "inertia": model.airframe.inertia}
     dots = {f"w{i}_dot": np.gradient(table[f"w{i}"], table["t"]) for i in range(1, 5)}

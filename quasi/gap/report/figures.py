@@ -58,7 +58,7 @@ def figures(tables: Mapping[str, pd.DataFrame]) -> dict[str, Figure]:
 
 def glance_figure(where: pd.DataFrame | None, overlays: pd.DataFrame | None) -> Figure | None:
     """What the extension changes, at a glance: the error along the place where it falls most surely, and the simulated
-    state that comes nearest to the flight, in a typical window: that of the median gain. where  of `with_errors`"""
+    state that comes nearest to the flight, in a typical window, see `overlays`. where  of `with_errors`"""
     kind = surest(where) if where is not None else None
     falls = overlays[overlays["why"] == TYPICAL] if overlays is not None and len(overlays) else None
     state = nearest(falls) if falls is not None and len(falls) else None

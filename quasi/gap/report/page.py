@@ -53,8 +53,9 @@ LEVEL_TITLES = {"sensors": "sensors against capture", "drive": "rotor speeds aga
 CAPTIONS = {
     "glance": "Left: the error of the model where it falls most, before (pale red) and after (blue) the extension, "
     "with standard errors, compared and held-out flights together. Right: a held-out flight (black) and what the "
-    "simulation makes of its rotor speeds, in a typical window, that of the median gain; the best and the worst window "
-    "stand below. Where causes are named that all flights have, the model's own terms were fitted anew with them, "
+    "simulation makes of its rotor speeds, in a typical window: that of the median gain, where windows count by how "
+    "much the extension changes them; the best and the worst one stand below. Where causes are named that all flights "
+    "have, the model's own terms were fitted anew with them, "
     "and the gain is that of both.",
     "overlays": "Simulated from measured states with measured rotor speeds, before (pale red) and after (blue) the "
     "extension, with the flight (black); where only blue is seen with a red rim, nothing has changed.",

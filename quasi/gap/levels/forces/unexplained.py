@@ -172,8 +172,8 @@ def outdone(
 
     It gives way to a more significant function of a place, in one of its own channels, with which it is not significant
     any more; and to a function that takes most of it and adds more to it than it adds to the function: of the two the
-    cause is the worse description. What takes little of it is there as well, the form of another cause, say. A place that the model's own terms depend on may be the form of a cause that is not quite
-    right, and does not count.
+    cause is the worse description. What takes little of it is there as well, the form of another cause, say. A place
+    that the model's own terms depend on may be the form of a cause that is not quite right, and does not count.
     left    found with the cause given; offers  of all causes that were given; p of the cause, which passed level
     rate    family-wise false alarm rate of functions
     """

@@ -31,6 +31,7 @@ GAINED = "the error falls most"  # why one of the windows is shown
 TYPICAL = "the error falls as in the median"
 ERROR_UNITS = {"position": "m", "velocity": "m/s", "attitude": "rad", "rate": "rad/s"}
 VECTOR_SIZE = 12  # of `vectors`
+VELOCITY = slice(3, 6)  # of states
 MOVED_BY = {"Fx": "velocity x", "Fy": "velocity y", "Fz": "velocity z", "Mx": "rate x", "My": "rate y", "Mz": "rate z"}
 COLUMN = dict(zip(MOVED_BY, (0, 1, 2, 6, 7, 8)))  # of `vectors`
 VECTORS = {"position": slice(9, 12), "velocity": slice(0, 3), "attitude": slice(3, 6), "rate": slice(6, 9)}
@@ -214,27 +215,31 @@ def overlays(models: Mapping[str, Model], flights: Sequence[Flight], horizon: fl
     """A few windows state by state: window, flight, why, t, each state as <state>_measured and <state>_<model's word>.
 
     Taken are the window whose velocity error fell most from the first model to the last, one where it fell as much as
-    in the median, and the one whose error was the greatest under the first model.
+    in the median, and the one whose error was the greatest under the first model. In the median windows count by the
+    square of what the last model makes of them otherwise: what acts at speed changes nothing in the many slow ones.
     """
     found = []
     for number, flight in enumerate(flights):
         starts = windows(flight, horizon)
         if len(starts):
-            ends = [
-                finite(compute_errors(simulated(m, flight, starts, horizon), flight.states, starts)["velocity"][:, -1])
-                for m in (next(iter(models.values())), list(models.values())[-1])
+            runs = [
+                simulated(m, flight, starts, horizon) for m in (next(iter(models.values())), [*models.values()][-1])
             ]
-            found += [(old - new, old, number, s) for old, new, s in zip(*ends, starts)]
+            ends = [finite(compute_errors(run, flight.states, starts)["velocity"][:, -1]) for run in runs]
+            with np.errstate(all="ignore"):  # of what diverges
+                changes = finite(np.linalg.norm((runs[1] - runs[0])[:, -1, VELOCITY], axis=1)) ** 2
+            found += [(old - new, old, number, s, change) for old, new, s, change in zip(*ends, starts, changes)]
     if not found:
         return pd.DataFrame({"window": [], "flight": [], "t": []})
     by_gain = sorted(found, reverse=True)
+    shares = np.cumsum([change for *_, change in by_gain])
     chosen = {
         GAINED: by_gain[0],
-        TYPICAL: by_gain[len(by_gain) // 2],
+        TYPICAL: by_gain[int(np.searchsorted(shares, 0.5 * shares[-1]))],
         "the error was greatest": max(found, key=lambda f: f[1]),
     }
     parts = []
-    for window, (why, (_, _, number, start)) in enumerate(chosen.items()):
+    for window, (why, (_, _, number, start, _)) in enumerate(chosen.items()):
         flight = flights[number]
         rows = slice(start, start + count_steps(flight.t, horizon) + 1)
         table = {"window": window, "flight": flight.key, "why": why, "t": flight.t[rows]}
