@@ -209,7 +209,9 @@ def disturb(place: Path, options: argparse.Namespace, expected: dict[str, str], 
             state["folders"] += 1
             state["open"] = False
             lost = len(differ - made.keys())
-            print(f"folder {state['folders']} finished, {len(differ)} artifacts differ, {lost} of them lost", flush=True)
+            print(
+                f"folder {state['folders']} finished, {len(differ)} artifacts differ, {lost} of them lost", flush=True
+            )
             lay(folder, options.flights)
         write_json(stored, state)
     return {k: v for k, v in state.items() if k != "open"}
