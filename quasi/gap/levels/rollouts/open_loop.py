@@ -31,7 +31,7 @@ GAINED = "the error falls most"  # why one of the windows is shown
 TYPICAL = "the error falls as in the median"
 ERROR_UNITS = {"position": "m", "velocity": "m/s", "attitude": "rad", "rate": "rad/s"}
 VECTOR_SIZE = 12  # of `vectors`
-VELOCITY = slice(3, 6)  # of states
+UVW = slice(3, 6)  # of states
 MOVED_BY = {"Fx": "velocity x", "Fy": "velocity y", "Fz": "velocity z", "Mx": "rate x", "My": "rate y", "Mz": "rate z"}
 COLUMN = dict(zip(MOVED_BY, (0, 1, 2, 6, 7, 8)))  # of `vectors`
 VECTORS = {"position": slice(9, 12), "velocity": slice(0, 3), "attitude": slice(3, 6), "rate": slice(6, 9)}
@@ -227,7 +227,7 @@ def overlays(models: Mapping[str, Model], flights: Sequence[Flight], horizon: fl
             ]
             ends = [finite(compute_errors(run, flight.states, starts)["velocity"][:, -1]) for run in runs]
             with np.errstate(all="ignore"):  # of what diverges
-                changes = finite(np.linalg.norm((runs[1] - runs[0])[:, -1, VELOCITY], axis=1)) ** 2
+                changes = finite(np.linalg.norm((runs[1] - runs[0])[:, -1, UVW], axis=1)) ** 2
             found += [(old - new, old, number, s, change) for old, new, s, change in zip(*ends, starts, changes)]
     if not found:
         return pd.DataFrame({"window": [], "flight": [], "t": []})
