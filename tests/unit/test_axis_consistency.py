@@ -78,7 +78,7 @@ def test_axes_of_what_changed_are_heard_whatever_the_base_would_take_up_of_the_o
     for some in (slice(0, 6), slice(1, 5)):
         study = gather_design(usual[some], EFFECTS, vehicle_of(model))
         for voice in voices(study, compared[some], test, every):
-            assert voice.amount == pytest.approx(1.0, abs=0.2) and voice.std < 0.15, voice
+            assert voice.amount == pytest.approx(1.0, abs=0.2) and voice.std < 0.5, voice
     # axes without a say do not make a cause significant
     assert hear(both, compared, test, every, (), [v.axis for v in found])[0] == test.p
     [loud, *_] = sorted(found, key=lambda v: v.std)

@@ -38,7 +38,8 @@ def voices(
 
     Every axis has an amount of its own at the same time: what another axis shows of the cause would else be put into
     the base, where all flights have it alike, and be missed from this one. Of a change, what all flights have alike on
-    an axis belongs to the base as well: it would else count as a spread between the flights.
+    an axis belongs to the base as well, as much of it as healthy flights may have of the cause: it would else count as
+    a spread between the flights.
     pooled  causes whose columns belong to the base, as in `MixedModel.test`; channels  axes that have a say: on others
     a cause only takes up what the model makes of its signals
     """
@@ -52,7 +53,10 @@ def voices(
         blocks = block_grams(columns, part.breaks, study.whitener, flight.t[part.rows], BLOCK)
         grams.append(in_stretches(blocks, len(study.flights)))
     names: Mapping[str, list[int]] = {a: [size + k] for k, a in enumerate(AXES) if there[k]}
-    layout = study.columns._replace(causes=study.columns.causes | names)
+    usual = study.columns.bounds.get(test.offer.cause, np.full(len(own), np.inf))
+    amount = np.min(np.asarray(usual)[list(test.offer.which)] / np.maximum(np.abs(test.value), 1e-300))
+    bounds = {**study.columns.bounds, **{axis: np.array([amount]) for axis in names}}
+    layout = study.columns._replace(causes=study.columns.causes | names, bounds=bounds)
     mixed = ClusteredMixedModel(grams, compared, layout, sessions=[f.session for f in study.flights])
     offers = [Candidate(axis, test.offer.since, (0,)) for axis in names]
     base = [*pooled, *names] if test.offer.since == "changed" else list(pooled)
