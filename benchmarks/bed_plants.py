@@ -310,6 +310,7 @@ def main() -> None:
         "wrong": sum(bool(one["wrong"]) for one in judged.values()), "stated": len(errors),
         "within": int(np.sum(np.abs(errors) < 2.0)),
         "named": sum(bool(found["effects"] or found["ties"]) for found in results),
+        "refused": sum(found["verdict"] == "not judged" for found in results),
         "missed": "; ".join(n for n, one in judged.items() if not one["right"]) or "none",
     }  # fmt: skip
     print(values)
