@@ -1,5 +1,6 @@
 """Outputs of failed jobs that are kept: they stay marked as incomplete, so that the next run makes them anew."""
 
+from contextlib import suppress
 from functools import wraps
 from typing import Any
 
@@ -16,6 +17,7 @@ def mark_incomplete(jobs: type) -> None:
     async def postprocess(self: Any, *args: Any, error: bool = False, **options: Any) -> None:
         await original(self, *args, error=error, **options)
         if error and self.dag.workflow.execution_settings.keep_incomplete:
-            self.dag.workflow.persistence.started(self)
+            with suppress(OSError):  # a full disk, of which the job's own sentence speaks
+                self.dag.workflow.persistence.started(self)
 
     jobs.postprocess = postprocess  # type: ignore[attr-defined]

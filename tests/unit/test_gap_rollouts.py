@@ -175,7 +175,7 @@ def test_the_typical_window_is_one_of_those_that_the_extension_changes(model):
     usual = np.median(np.abs(ends[1] - ends[0]))
     found = open_loop.overlays({"before": lacking, "after": model}, [flight], 0.5)
     typical = found[found["why"] == open_loop.TYPICAL]
-    assert abs(typical["w_before"].iloc[-1] - typical["w_after"].iloc[-1]) > 3.0 * usual
+    assert abs(typical["w_before"].iloc[-1] - typical["w_after"].iloc[-1]) > 2.0 * usual
     np.testing.assert_allclose(typical["w_after"], typical["w_measured"], atol=1e-6)
 
 

@@ -215,8 +215,8 @@ def overlays(models: Mapping[str, Model], flights: Sequence[Flight], horizon: fl
     """A few windows state by state: window, flight, why, t, each state as <state>_measured and <state>_<model's word>.
 
     Taken are the window whose velocity error fell most from the first model to the last, one where it fell as much as
-    in the median, and the one whose error was the greatest under the first model. In the median windows count by the
-    square of what the last model makes of them otherwise: what acts at speed changes nothing in the many slow ones.
+    in the median, and the one whose error was the greatest under the first model. In the median windows count by what
+    the last model changes in them next to the median error, at most once: slow ones show nothing of what acts at speed.
     """
     found = []
     for number, flight in enumerate(flights):
@@ -227,12 +227,13 @@ def overlays(models: Mapping[str, Model], flights: Sequence[Flight], horizon: fl
             ]
             ends = [finite(compute_errors(run, flight.states, starts)["velocity"][:, -1]) for run in runs]
             with np.errstate(all="ignore"):  # of what diverges
-                changes = finite(np.linalg.norm((runs[1] - runs[0])[:, -1, UVW], axis=1)) ** 2
+                changes = finite(np.linalg.norm((runs[1] - runs[0])[:, -1, UVW], axis=1))
             found += [(old - new, old, number, s, change) for old, new, s, change in zip(*ends, starts, changes)]
     if not found:
         return pd.DataFrame({"window": [], "flight": [], "t": []})
     by_gain = sorted(found, reverse=True)
-    shares = np.cumsum([change for *_, change in by_gain])
+    usual = float(np.median([old for _, old, *_ in found]))
+    shares = np.cumsum([change / np.hypot(change, max(usual, 1e-12)) for *_, change in by_gain])
     chosen = {
         GAINED: by_gain[0],
         TYPICAL: by_gain[int(np.searchsorted(shares, 0.5 * shares[-1]))],
