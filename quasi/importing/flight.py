@@ -12,13 +12,14 @@ from quasi.errors import ConfigError, DataError, add_caution
 from quasi.importing import limits
 from quasi.importing.artefacts import flyable
 from quasi.importing.calibration import calibrated_capture, calibrated_onboard
+from quasi.importing.captured_sensors import Captured
 from quasi.importing.checks import rows_in_spans
 from quasi.importing.clocks.synchronisation import Motion, Synchronisation, synchronise
 from quasi.importing.command_map import add_commanded_speeds
 from quasi.importing.contradictions import refuse_wrong_lengths, refuse_wrong_rates
 from quasi.importing.cross_checks import cross_check
 from quasi.importing.imu_and_telemetry import lever_arm_term, read_triple, remove_telemetry_age
-from quasi.importing.onboard_log import POSITION_COLUMNS, QUATERNION, RATES, Onboard, gather, motor_poles, read_onboard
+from quasi.importing.onboard_log import POSITION_COLUMNS, QUATERNION, Onboard, gather, motor_poles, read_onboard
 from quasi.importing.readers.reader import Request
 from quasi.importing.readers.registry import read_capture
 from quasi.importing.resampling import covered, fresh, grid, resample, resample_attitude, velocity
@@ -69,19 +70,17 @@ def import_flight(
     poles, poles_source = motor_poles(quadrotor)
     recording = read_onboard(flight, quadrotor, poles)
     recording.metadata["sha256"] = sha256_of(flight["onboard"])
-    board = gather(recording, where, notes, float(chosen["optitrack velocity Hz cutoff"]))
-    turning = [n for n in ("w5", "w6", "w7", "w8") if n in board.others and np.nanmax(board.others[n].values) > 0.0]
-    if turning:
-        raise DataError(
-            f"{where}: the log has {4 + len(turning)} turning rotors, expected the four of a quadrotor; such a vehicle "
-            "cannot be modelled here"
-        )
-    marker = read_triple(quadrotor.get("optitrack marker cg offset"), "optitrack marker cg offset")
+    marker = _marker(quadrotor)
     moved = ((calibration or {}).get("capture") or {}).get("marker offset")
     if moved is not None:
         marker = np.asarray(moved, float) + (np.zeros(3) if marker is None else marker)
         quadrotor = {**quadrotor, "optitrack marker cg offset": marker.tolist()}
-    capture, captured = _read_capture(flight, quadrotor, chosen, recording, board, notes)
+    capture, captured = _read_capture(flight, quadrotor, chosen, recording, notes)
+    seen = None if capture is None else Captured(capture, captured is None, _longest_lag(chosen, captured))
+    board = gather(recording, where, notes, float(chosen["optitrack velocity Hz cutoff"]), seen)
+    if capture is not None and captured is None:
+        capture = _on_board_time(capture, quadrotor, board)
+    _refuse_more_rotors(board, where)
     ends = limits.clipped_ends(board, recording.metadata.get("units") or {})
     if calibration is not None:
         board, capture = calibrated_onboard(board, calibration), calibrated_capture(capture, marker, calibration)
@@ -146,43 +145,70 @@ def _streams(
     return {name: found for name, t in times.items() if (found := stream(t, zero)) is not None}
 
 
+def _refuse_more_rotors(board: Onboard, where: str) -> None:
+    turning = [n for n in ("w5", "w6", "w7", "w8") if n in board.others and np.nanmax(board.others[n].values) > 0.0]
+    if turning:
+        raise DataError(
+            f"{where}: the log has {4 + len(turning)} turning rotors, expected the four of a quadrotor; such a vehicle "
+            "cannot be modelled here"
+        )
+
+
+def _longest_lag(chosen: Mapping[str, Any], captured: Recording | None) -> float:
+    """How far the clocks of log and capture may lie apart, s; captured is None where the log stamps both."""
+    longest = float(chosen["max permitted lag for optitrack"])
+    return longest if captured is not None else min(SAME_CLOCK_LAG, longest)
+
+
 def _read_capture(
     flight: Mapping[str, Any],
     quadrotor: Mapping[str, Any],
     chosen: Mapping[str, Any],
     recording: Recording,
-    board: Onboard,
     notes: list[str],
 ) -> tuple[Series | None, Recording | None]:
-    """The capture's series (clock of its own, or the table's on the on-board clock) and the capture file as read."""
-    offset = read_triple(quadrotor.get("optitrack marker cg offset"), "optitrack marker cg offset")
+    """The capture's series, on a clock of its own or on the log's, and the capture file as read, None without one."""
+    offset = _marker(quadrotor)
     if flight.get("capture"):
         captured = read_capture(Request.of_capture(flight, offset, bool(chosen["filter optitrack outliers"])))
         return captured.series["capture"], captured
     if "capture" not in recording.series:
         return None, None
     series = recording.series["capture"]
-    main = recording.series["onboard"]
-    # on-board time begins with the first sample of the gyro
-    sampled = np.isfinite(main.matrix(RATES)).all(axis=1)
-    series = Series(series.t - main.t[np.argmax(sampled)], dict(series.values))
+    values = {name: column.copy() for name, column in series.values.items()}
+    q = series.matrix(QUATERNION)
     if chosen["filter optitrack outliers"]:
         seen = np.isfinite(series.matrix(POSITION_COLUMNS)).all(axis=1)
-        q = series.matrix(QUATERNION)[seen] if "qw" in series.values else None
-        bad = np.flatnonzero(seen)[~flyable(series.t[seen], series.matrix(POSITION_COLUMNS)[seen], q)]
-        for name, values in series.values.items():
-            series.values[name] = values.copy()
-            series.values[name][bad] = np.nan
+        turned = q[seen] if q is not None else None
+        bad = np.flatnonzero(seen)[~flyable(series.t[seen], series.matrix(POSITION_COLUMNS)[seen], turned)]
+        for column in values.values():
+            column[bad] = np.nan
         if len(bad):
             notes.append(f"{flight['flight']}: {len(bad)} captured samples were removed as impossible to fly")
-    if offset is not None and np.any(offset):
-        q = series.matrix(QUATERNION)
-        if q is None:
-            fine = np.isfinite(board.attitude.values).all(axis=1)
-            q = interpolate(board.attitude.values[fine], board.attitude.t[fine], series.t)
-        moved = series.matrix(POSITION_COLUMNS) - rotate(np.nan_to_num(q, nan=0.5), offset)
-        series.values.update({n: moved[:, i] for i, n in enumerate(POSITION_COLUMNS)})
-    return series, None
+    series = Series(series.t, values)
+    return series if q is None else _at_cg(series, offset, q), None
+
+
+def _marker(quadrotor: Mapping[str, Any]) -> np.ndarray | None:
+    return read_triple(quadrotor.get("optitrack marker cg offset"), "optitrack marker cg offset")
+
+
+def _at_cg(series: Series, offset: np.ndarray | None, q: np.ndarray) -> Series:
+    """A capture of markers at `offset` (3,) m, body FRD, brought to the cg by the attitude q (n, 4)."""
+    if offset is None or not np.any(offset):
+        return series
+    moved = series.matrix(POSITION_COLUMNS) - rotate(np.nan_to_num(q, nan=0.5), offset)
+    return Series(series.t, series.values | {n: moved[:, i] for i, n in enumerate(POSITION_COLUMNS)})
+
+
+def _on_board_time(series: Series, quadrotor: Mapping[str, Any], board: Onboard) -> Series:
+    """A capture of the log's own table, in time since the gyro's first sample; at the cg without its attitude too."""
+    series = Series(series.t - board.zero, series.values)
+    if "qw" in series.values:
+        return series
+    fine = np.isfinite(board.attitude.values).all(axis=1)
+    q = interpolate(board.attitude.values[fine], board.attitude.t[fine], series.t)
+    return _at_cg(series, _marker(quadrotor), q)
 
 
 def _align(
@@ -198,13 +224,12 @@ def _align(
     seen = Motion(capture.t, quaternion=capture.matrix(QUATERNION), position=capture.matrix(POSITION_COLUMNS))
     using = list(chosen["align with optitrack using"])
     if captured is not None:
-        sync = synchronise(board.motion(), seen, using, float(chosen["max permitted lag for optitrack"]), where)
+        sync = synchronise(board.motion(), seen, using, _longest_lag(chosen, captured), where)
         unit = captured.metadata["length unit"]
         refuse_wrong_lengths(board.motion(), sync.to_onboard(capture.t), seen.position, unit, where)
     else:
-        longest = min(SAME_CLOCK_LAG, float(chosen["max permitted lag for optitrack"]))
         try:
-            sync = synchronise(board.motion(), seen, using, longest, where, same_clock=True)
+            sync = synchronise(board.motion(), seen, using, _longest_lag(chosen, captured), where, same_clock=True)
         except DataError as error:
             add_caution(
                 notes, f"{where}: the capture stays on the log's own clock, lag 0: none could be found ({error})"

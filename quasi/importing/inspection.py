@@ -13,7 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from quasi.errors import QuasiError, cautions
+from quasi.errors import DataError, QuasiError, cautions
+from quasi.importing.captured_sensors import Captured
 from quasi.importing.onboard_log import (
     BODY_VELOCITY,
     POSITION_COLUMNS,
@@ -24,7 +25,8 @@ from quasi.importing.onboard_log import (
 )
 from quasi.importing.readers.reader import Request
 from quasi.importing.readers.registry import read_capture
-from quasi.importing.series import Series
+from quasi.importing.reconstruction import Completed
+from quasi.importing.series import Recording, Series
 from quasi.importing.wind import read_lvm
 from quasi.running.checksums import read_identity
 from quasi.sensor_limits import find_silent_rotors
@@ -95,7 +97,7 @@ def _read_onboard(flight: Mapping[str, Any], quadrotor: Mapping[str, Any]) -> Re
         return None
     recording = read_onboard(flight, quadrotor, motor_poles(quadrotor)[0])
     notes = list(recording.notes)
-    gyro = require_motion(recording, str(flight["flight"]), notes).gyro
+    gyro = _motion(recording, flight, notes).gyro
     about = recording.metadata
     facts = {
         "file": str(flight["onboard"]),
@@ -106,6 +108,20 @@ def _read_onboard(flight: Mapping[str, Any], quadrotor: Mapping[str, Any]) -> Re
         **_sampling(gyro.t),
     }
     return facts, list(recording.series.values()), notes
+
+
+def _motion(recording: Recording, flight: Mapping[str, Any], notes: list[str]) -> Completed:
+    """The log's motion, by its capture where it needs one; the clocks are left as they are, which changes no rate."""
+    try:
+        return require_motion(recording, str(flight["flight"]), notes)
+    except DataError:
+        capture = recording.series.get("capture")
+        if flight.get("capture"):
+            capture = read_capture(Request.of_capture(flight)).series["capture"]
+        if capture is None:
+            raise
+    in_log = not flight.get("capture")
+    return require_motion(recording, str(flight["flight"]), notes, captured=Captured(capture, in_log))
 
 
 def _read_capture(flight: Mapping[str, Any], quadrotor: Mapping[str, Any]) -> Read | None:

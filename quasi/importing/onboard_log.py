@@ -1,7 +1,7 @@
 """What the on-board log holds, gathered from its series: gyro, accelerometer, attitude, motion estimates, the rest."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -9,6 +9,7 @@ import numpy as np
 
 from quasi.attitude import interpolate
 from quasi.errors import ConfigError, DataError, add_caution
+from quasi.importing.captured_sensors import Captured
 from quasi.importing.checks import check_recording
 from quasi.importing.clocks.filter_delays import header_delays
 from quasi.importing.clocks.synchronisation import Motion
@@ -45,6 +46,7 @@ class Onboard:
     invalid          spans {"begin", "end", "reason"} whose rows cannot be used, see `checks.check_recording`
     others           {quantity: Track (n, 1)} of everything that is not motion
     made             what was made from other signals, see `reconstruction.complete_sensors`
+    zero             the gyro's first sample on the log's clock, s
     """
 
     gyro: Track
@@ -60,6 +62,7 @@ class Onboard:
     delays: dict[str, Any] = field(default_factory=dict)
     invalid: list[dict[str, Any]] = field(default_factory=list)
     made: dict[str, dict[str, Any]] = field(default_factory=dict)
+    zero: float = 0.0
 
     def motion(self) -> Motion:
         """For the alignment: everything at the gyro's times."""
@@ -114,25 +117,43 @@ def _find(series: Mapping[str, Series], names: tuple[str, ...]) -> Track | None:
     return None
 
 
-def require_motion(recording: Recording, where: str, notes: list[str], bandwidth: float = BANDWIDTH) -> Completed:
-    """Gyro and accelerometer of a recording, logged or made from its other signals (see `reconstruction`).
+def require_motion(
+    recording: Recording,
+    where: str,
+    notes: list[str],
+    bandwidth: float = BANDWIDTH,
+    captured: Captured | None = None,
+) -> Completed:
+    """Gyro and accelerometer of a recording, logged or made from other signals (see `reconstruction`).
 
-    bandwidth  Hz, of what is made from derivatives
+    bandwidth  Hz, of what is made from derivatives; captured  the motion capture that the log stamps or comes with
     Raises DataError when neither can be had, or too few of their samples are readable.
     """
-    return complete_sensors(recording.series, bandwidth, where, notes, _damage(recording))
+    return complete_sensors(recording.series, bandwidth, where, notes, _damage(recording), captured)
 
 
-def gather(recording: Recording, where: str, notes: list[str], bandwidth: float = BANDWIDTH) -> Onboard:
+def gather(
+    recording: Recording,
+    where: str,
+    notes: list[str],
+    bandwidth: float = BANDWIDTH,
+    captured: Captured | None = None,
+) -> Onboard:
     """Sort the series of a recording; estimate the attitude on board data alone where the log has none.
 
     bandwidth  Hz, of sensors that are made from derivatives of other signals
+    captured   the motion capture, for sensors that nothing else in the log can replace
     Raises DataError when the log holds no gyro or accelerometer and nothing to make them from.
     """
     series = recording.series
-    sensors = require_motion(recording, where, notes, bandwidth)
+    delays = _delays(recording)
+    if captured is not None:
+        captured = replace(captured, gyro_delay=delays["gyro"]["value"])
+    sensors = require_motion(recording, where, notes, bandwidth, captured)
     gyro, force = sensors.gyro, sensors.force
-    delays = _delays(recording, where, notes)
+    for name in {"gyro", "accelerometer"} & set(sensors.made):
+        delays[name] |= {"value": 0.0, "std": 0.0, "known": True}  # it passed none of the controller's filters
+    _report_unknown_delays(delays, recording, where, notes)
     attitude, source, rest = _find(series, QUATERNION), "onboard", 0.0
     if attitude is None and sensors.attitude is not None:
         attitude, source = sensors.attitude, MADE_COLUMN
@@ -201,6 +222,7 @@ def gather(recording: Recording, where: str, notes: list[str], bandwidth: float 
         others=others,
         rotors=rotors,
         delays=delays,
+        zero=float(zero),
         made=sensors.made,
         # rotor telemetry may be as old as AGES, and filter delays move the gyro by less
         invalid=[
@@ -228,11 +250,10 @@ def _together(tracks: list[Track]) -> Track:
     return Track(at, values)
 
 
-def _delays(recording: Recording, where: str, notes: list[str]) -> dict[str, Any]:
+def _delays(recording: Recording) -> dict[str, Any]:
     """How late the controller's filters make gyro and accelerometer, s; a table comes as its columns are."""
     if (known := recording.metadata.get("filter delays")) is not None:
-        delays = {quantity: dict(about) for quantity, about in known.items()}
-        return _report_unknown_delays(delays, recording, where, notes)
+        return {quantity: dict(about) for quantity, about in known.items()}
     header = recording.metadata.get("header")
     delays = header_delays(header or {}, complete=not recording.metadata.get("header lines lost"))
     for quantity, about in delays.items():
@@ -242,12 +263,10 @@ def _delays(recording: Recording, where: str, notes: list[str]) -> dict[str, Any
             about |= {"value": 0.0, "filters": []}
         if header is None or (field_used.endswith("afterRpm") and not about["known"]):
             about |= {"std": 0.0, "known": True}
-    return _report_unknown_delays(delays, recording, where, notes)
+    return delays
 
 
-def _report_unknown_delays(
-    delays: dict[str, Any], recording: Recording, where: str, notes: list[str]
-) -> dict[str, Any]:
+def _report_unknown_delays(delays: dict[str, Any], recording: Recording, where: str, notes: list[str]) -> None:
     unknown = {quantity: about for quantity, about in delays.items() if not about["known"]}
     if unknown:
         add_caution(
@@ -260,9 +279,3 @@ def _report_unknown_delays(
                 else ""
             ),
         )
-    return delays
-
-
-def _finite(track: Track) -> Track:
-    fine = np.isfinite(track.values).all(axis=1) & np.isfinite(track.t)
-    return Track(track.t[fine], track.values[fine])

@@ -5,11 +5,12 @@
     roll and pitch   body z lies along the thrust: f / |f| = -z_body, f the specific force in earth axes; yaw turns
                      about it. Drag and other forces across the thrust tilt the result by their share of the weight.
     body rates       of the attitude's own change
+    of a capture     see `quasi.importing.captured_sensors`: where the log's own signals do not serve
 
 What is made here holds no information that its source does not: it carries no bias of its own, no frequency above the
 bandwidth, and it cannot check its source.
-Source: Mellinger & Kumar, Minimum snap trajectory generation and control for quadrotors, ICRA 2011 (flatness);
-noise of a band-limited derivative: integral of (2 pi f)^2 times a white spectrum up to the bandwidth.
+Source: Mellinger & Kumar, Minimum snap trajectory generation and control for quadrotors, ICRA 2011 (flatness); errors
+as in `quasi.importing.derivatives`.
 """
 
 from collections.abc import Mapping, Sequence
@@ -20,16 +21,16 @@ import numpy as np
 
 from quasi.attitude import GRAVITY, body_rates, continuous, from_euler, interpolate, rotate_inverse, to_euler
 from quasi.errors import DataError, add_caution
+from quasi.importing.captured_sensors import Captured, force_and_rates
+from quasi.importing.derivatives import NOISE, ONE_SIGMA, derivative_error, made_of, typical_size
 from quasi.importing.resampling import low_pass, velocity
 from quasi.importing.series import Series, Track
 
-EULER_ANGLES = ("roll", "pitch", "yaw")
+EULER_ANGLES, QUATERNION = ("roll", "pitch", "yaw"), ("qw", "qx", "qy", "qz")
 # share of g below which the direction of the specific force is that of its errors: 0.5 m/s2 of error is 10 deg there
 MIN_FORCE_SHARE = 0.3
 CROSSOVER = 1.0  # Hz, below which the velocity gives the acceleration: on CrazyPAD an offset of 0.7 deg in roll goes
 MIN_TRUSTED = 0.9  # share of the log around which the velocity has no gap
-ONE_SIGMA = 1.2816  # 80 % of normal errors are smaller than this many standard deviations
-NOISE = "noise above the bandwidth alone"
 MIN_SAMPLES = 20  # as of a sensor's own
 
 
@@ -44,26 +45,46 @@ class Completed:
 
 
 def complete_sensors(
-    series: Mapping[str, Series], bandwidth: float, where: str, notes: list[str], damage: str = ""
+    series: Mapping[str, Series],
+    bandwidth: float,
+    where: str,
+    notes: list[str],
+    damage: str = "",
+    captured: Captured | None = None,
 ) -> Completed:
     """Gyro and accelerometer of a flight, and its attitude, made from its other signals where they are not logged.
 
     series     on-board series of a recording, on one clock; bandwidth  Hz of derivatives (-3 dB)
-    Returns    Completed; attitude is None where gyro and accelerometer are logged and it is not
+    captured   the motion capture, which is used where the log's own signals do not serve; None without one
+    Returns    Completed; attitude is None where it is not logged and not needed
     Raises     DataError that names the quantities that are lacking and would serve
     """
     gyro, force = (_logged(series, n, what, where, damage) for n, what in (
         (("p", "q", "r"), "body rates (gyro)"), (("ax", "ay", "az"), "specific force (accelerometer)"),
     ))  # fmt: skip
-    attitude = _find(series, ("qw", "qx", "qy", "qz"))
+    logged = Completed(gyro, force, _find(series, QUATERNION))
     if gyro is not None and force is not None:
-        return Completed(gyro, force, attitude)
+        return logged
+    try:
+        found = _completed_by_log(logged, series, bandwidth, where)
+    except DataError:
+        if captured is None or not captured.complete:
+            raise
+        found = _completed_by_capture(logged, captured, bandwidth, where)
+    for name, entry in found.made.items():
+        add_caution(notes, f"{where}: {_sentence(name, entry)}")
+    return found
+
+
+def _completed_by_log(logged: Completed, series: Mapping[str, Series], bandwidth: float, where: str) -> Completed:
+    """What is not logged made from the log's other signals. Raises DataError where they do not serve."""
+    gyro, force, attitude = logged.gyro, logged.force, logged.attitude
     made: dict[str, dict[str, Any]] = {}
     acceleration, about = _acceleration(series, bandwidth)
     if gyro is not None and attitude is None and all(_find(series, (a,)) is None for a in EULER_ANGLES):
         raise DataError(
             f"{where}: the log holds no specific force (accelerometer), and no attitude by which one could be made of "
-            "the motion; log the accelerometer"
+            "the motion; log the accelerometer, or add a motion capture with attitude"
         )
     if attitude is None:
         attitude, made["attitude"] = _attitude(series, acceleration, about, bandwidth, where)
@@ -71,16 +92,28 @@ def complete_sensors(
         if acceleration is None:
             raise DataError(
                 f"{where}: the log holds no specific force (accelerometer), and no acceleration, velocity or position "
-                "to make it from; log one of them"
+                "to make it from; log one of them, or add a motion capture with attitude"
             )
         turned = interpolate(attitude.values, attitude.t, acceleration.t)
         felt = acceleration.values - np.array([0.0, 0.0, GRAVITY])
         force, made["accelerometer"] = Track(acceleration.t, rotate_inverse(turned, felt)), about
     if gyro is None:
         gyro, made["gyro"] = _rates(attitude, bandwidth, made.get("attitude"))
-    for name, entry in made.items():
-        add_caution(notes, f"{where}: {_sentence(name, entry)}")
     return Completed(gyro, force, attitude, made)
+
+
+def _completed_by_capture(logged: Completed, captured: Captured, bandwidth: float, where: str) -> Completed:
+    """What is not logged made from a motion capture. Raises DataError where nothing ties it to the log."""
+    made: dict[str, dict[str, Any]] = {}
+    gyro, force = logged.gyro, logged.force
+    if gyro is None and logged.attitude is not None:
+        gyro, made["gyro"] = _rates(logged.attitude, bandwidth, None)
+    seen = force_and_rates(captured, captured.times(gyro, where), bandwidth)
+    if gyro is None:
+        gyro, made["gyro"] = seen["gyro"]
+    if force is None:
+        force, made["accelerometer"] = seen["accelerometer"]
+    return Completed(gyro, force, logged.attitude, made)
 
 
 def _sentence(name: str, entry: Mapping[str, Any]) -> str:
@@ -154,7 +187,7 @@ def _acceleration(series: Mapping[str, Series], bandwidth: float) -> tuple[Track
         first, _ = velocity(place.t, place.values, place.t, bandwidth)
         values, _ = velocity(place.t, first, place.t, bandwidth)
         error = derivative_error(place, rate, bandwidth, 2)
-    return Track(at.t, values), _about(source, bandwidth, rate, error, "m/s2") | {"covers": covers}
+    return Track(at.t, values), made_of(source, bandwidth, rate, error, "m/s2", covers)
 
 
 def _disagreement(speed: Track, place: Track, bandwidth: float) -> float:
@@ -165,24 +198,6 @@ def _disagreement(speed: Track, place: Track, bandwidth: float) -> float:
     other, known = velocity(place.t, first, speed.t, bandwidth)
     used = trusted & known
     return typical_size((change - other)[used]) / ONE_SIGMA if used.any() else 0.0
-
-
-def typical_size(error: np.ndarray) -> float:
-    """The size below which 80 % of errors lie: 1.28 standard deviations of normal ones, so that it bounds one also
-    where a third of a flight is rest without any error; single jolts do not count."""
-    return float(np.quantile(np.abs(error), 0.8))
-
-
-def derivative_error(signal: Track, rate: float, bandwidth: float, order: int) -> float:
-    """Standard error of a derivative of a signal whose noise is white, low-passed at `bandwidth`.
-
-    The noise is what lies above the bandwidth. order  of the derivative; rate  Hz of the samples
-    """
-    rest = signal.values - low_pass(signal.values, rate, bandwidth)
-    share = max(1.0 - 2.0 * bandwidth / rate, 0.1)  # of white noise that lies above the bandwidth
-    density = 2.0 * (typical_size(rest) / ONE_SIGMA) ** 2 / share / rate
-    power = density * (2.0 * np.pi) ** (2 * order) * bandwidth ** (2 * order + 1) / (2 * order + 1)
-    return float(np.sqrt(power))
 
 
 def _attitude(
@@ -222,9 +237,8 @@ def _attitude(
         check = {"against": f"logged {known[0]}", "mean": float(off.mean()), "rate": typical_size(turning)}
     quaternion = continuous(from_euler(*(angles.get(n, found[n]) for n in EULER_ANGLES)))
     covers = check["against"] if check else "the error of the acceleration"
-    entry = {"covers": covers} | _about(
-        f"yaw and {about['from']}, with the thrust along body z", bandwidth, _rate(t), error, "rad"
-    )
+    source = f"yaw and {about['from']}, with the thrust along body z"
+    entry = made_of(source, bandwidth, _rate(t), error, "rad", covers)
     return Track(t, quaternion), entry | {"angles": missing, "check": check}
 
 
@@ -250,15 +264,7 @@ def _rates(attitude: Track, bandwidth: float, about: Mapping[str, Any] | None) -
         white = 2.0 * np.pi * bandwidth / np.sqrt(3.0) * about["std"]["value"]
         error = float(np.hypot(error, about["check"]["rate"] if about["check"] else white))
     covers = NOISE if about is None or not about["check"] else about["check"]["against"]
-    return Track(attitude.t, smooth), _about("the attitude", bandwidth, rate, error, "rad/s") | {"covers": covers}
-
-
-def _about(source: str, bandwidth: float, rate: float, error: float, unit: str) -> dict[str, Any]:
-    return {
-        "from": source,
-        "bandwidth": {"value": min(bandwidth, 0.5 * rate), "unit": "Hz"},
-        "std": {"value": error, "unit": unit},
-    }
+    return Track(attitude.t, smooth), made_of("the attitude", bandwidth, rate, error, "rad/s", covers)
 
 
 def _rate(t: np.ndarray) -> float:

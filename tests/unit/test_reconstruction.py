@@ -13,9 +13,12 @@ from scipy.spatial.transform import Rotation
 from quasi.attitude import GRAVITY, from_euler, to_euler
 from quasi.errors import ConfigError, DataError, cautions
 from quasi.filtering.flight import filter_flight
+from quasi.importing.captured_sensors import Captured
+from quasi.importing.derivatives import derivative_error
 from quasi.importing.flight import import_flight
+from quasi.importing.inspection import inspect_flight
 from quasi.importing.readers.table_mapping import read_mapping
-from quasi.importing.reconstruction import complete_sensors, derivative_error, thrust_angles
+from quasi.importing.reconstruction import complete_sensors, thrust_angles
 from quasi.importing.resampling import low_pass, velocity
 from quasi.importing.series import Series, Track
 from quasi.tables import read_json
@@ -177,6 +180,84 @@ def test_import_and_filter_run_with_what_is_there(motion, tmp_path, gyro):
     assert np.sqrt(np.mean(off[flying] ** 2)) < 0.5
     assert 0.8 < flying.mean() < 0.99
     assert not flying[: int(0.7 * 200)].any()  # it stands until its commands rise
+
+
+def seen_by(motion, late=0.0, gap=None, every=2):
+    """A capture of the motion at 100 Hz with 0.1 mm of noise, on a clock that is `late` s behind the log's."""
+    rng = np.random.default_rng(4)
+    t, place, turned = (a[::every] for a in (motion.t, motion.p, motion.q))
+    place = place + rng.normal(0, 1e-4, place.shape)
+    if gap is not None:
+        place[(t > gap[0]) & (t < gap[1])] = np.nan
+    values = {**dict(zip(POSITION, place.T)), **dict(zip(FULL["q"], turned.T))}
+    return Series(t - late, values)
+
+
+@pytest.mark.parametrize("logged", ["gyro", "attitude", "nothing"])
+def test_a_capture_replaces_what_the_log_lacks(motion, logged):
+    groups = {"gyro": {"w": (("p", "q", "r"), motion.rates)}, "attitude": {"q": (FULL["q"], motion.q)}, "nothing": {}}
+    capture = Captured(seen_by(motion, late=0.0 if logged == "nothing" else 3.2), logged == "nothing", 25.0)
+    notes = []
+    found = complete_sensors(series(motion.t, **groups[logged]), 10.0, "a", notes, captured=capture)
+    about = found.made["accelerometer"]
+    assert about["from"] == "the captured position and attitude"
+    at = found.force.t
+    off = found.force.values - np.stack([np.interp(at, motion.t, f) for f in motion.force.T], axis=1)
+    assert rms(off) < 0.2
+    assert about["std"]["value"] == pytest.approx(rms(off), rel=0.4)
+    turning = np.stack([np.interp(found.gyro.t, motion.t, w) for w in motion.rates.T], axis=1)
+    assert rms(found.gyro.values - turning) < 0.05
+    assert len(cautions(notes)) == (1 if logged == "gyro" else 2)
+
+
+def test_a_force_made_of_a_capture_leaves_its_gaps_out_and_the_gyros_delay(motion):
+    late = Track(motion.t + 4e-3, motion.rates)  # as a log whose filters make the gyro 4 ms late
+    log = {"onboard": Series(late.t, dict(zip("pqr", late.values.T)))}
+    capture = Captured(seen_by(motion, late=-1.0, gap=(8.0, 8.4)), False, 25.0, gyro_delay=4e-3)
+    found = complete_sensors(log, 10.0, "a", [], captured=capture)
+    at = found.force.t
+    assert not np.any((at > 7.99) & (at < 8.41))
+    clear = (np.abs(at - 8.2) > 0.6) & (at > 1.0) & (at < at[-1] - 1.0)
+    lag = [
+        np.mean((found.force.values[clear] - np.stack([np.interp(at + d, motion.t, f) for f in motion.force.T], axis=1)
+                 [clear]) ** 2) for d in (-4e-3, -2e-3, 0.0, 2e-3, 4e-3)
+    ]  # fmt: skip
+    assert np.argmin(lag) == 2
+
+
+def test_a_capture_on_another_clock_needs_something_that_turns(motion):
+    with pytest.raises(DataError, match=r"^a: .*nothing ties the capture.*one table"):
+        complete_sensors(
+            series(motion.t, c=(("command1",), motion.t[:, None])), 10.0, "a", [],
+            captured=Captured(seen_by(motion), False, 25.0),
+        )  # fmt: skip
+
+
+@pytest.mark.parametrize("logged", ["gyro", "attitude", "nothing"])
+def test_a_table_of_rotors_and_capture_is_imported(motion, tmp_path, logged):
+    lift = np.clip(np.linalg.norm(motion.force, axis=1) / GRAVITY, 0, 3) * (motion.t > 1.0)
+    table = {"t": motion.t} | {f"w{i}": 1000.0 * np.sqrt(lift) + 200.0 for i in range(1, 5)}
+    onboard = {"gyro": ["p", "q", "r"], "attitude": ["qw", "qx", "qy", "qz"], "nothing": []}[logged]
+    place = motion.p + np.random.default_rng(5).normal(0, 5e-5, motion.p.shape)  # a tracker's pose never stands still
+    table |= dict(zip("pqr", motion.rates.T)) | dict(zip(FULL["q"], motion.q.T)) | dict(zip(POSITION, place.T))
+    pd.DataFrame(table).to_csv(tmp_path / "a.csv", index=False)
+    columns = {c: c for c in [*(f"w{i}" for i in range(1, 5)), *onboard]}
+    capture = {c: c for c in (*POSITION, *FULL["q"])}
+    sources = [{"name": "s", "columns": columns}, {"name": "c", "motion capture": True, "columns": capture}]
+    quadrotor = {**rigid_body.CONFIG, "table columns": {"time": "t", "sources": sources}}
+    flight = {"flight": "a", "quadrotor": "X", "flight controller": "table", "rigid body": "",
+              "onboard": str(tmp_path / "a.csv"), "capture": None, "log number": None}  # fmt: skip
+    settings = {"flight": flight, "quadrotor": quadrotor, "problem": None}
+    assert inspect_flight(settings)["problem"] is None
+    frame, about = import_flight(flight, quadrotor, {"resampling rate": 200.0})
+    assert set(about["reconstructed"]) == {"accelerometer"} | ({"gyro"} if logged != "gyro" else set())
+    at = frame["t"].to_numpy() + about["start"]["value"]
+    force = np.stack([np.interp(at, motion.t, f) for f in motion.force.T], axis=1)
+    assert rms(frame[["ax", "ay", "az"]].to_numpy() - force) < 0.3
+    result = filter_flight(frame, about, rigid_body.quadrotor(), {})
+    columns = result.with_gravity
+    off = columns[["Fx", "Fy", "Fz"]].to_numpy() / rigid_body.MASS - force[: len(columns)]
+    assert np.sqrt(np.mean(off[columns["valid"].to_numpy() > 0] ** 2)) < 0.3
 
 
 @pytest.mark.skipif(not CRAZYPAD.is_dir(), reason=f"the flights of CrazyPAD are not at {CRAZYPAD}")

@@ -11,7 +11,8 @@
 
 "z-up" is x forward, y left, z up. Of several names in "column" the first that the table has is taken.
 linear_ax, linear_ay, linear_az are the acceleration over ground, gravity removed, in world axes. Of roll, pitch and yaw
-some may be absent; body rates may be absent where an attitude is mapped (see `quasi.importing.reconstruction`).
+some may be absent; body rates may be absent where an attitude is mapped, or a capture with one (see
+`quasi.importing.reconstruction`).
 """
 
 from collections.abc import Mapping
@@ -154,10 +155,11 @@ def read_mapping(section: Any, poles: int | None, where: str, log_has_clock: boo
                 raise ConfigError(f"{where}: sources '{other}' and '{source.name}' both map {quantity}; remove one")
     if sum(s.capture for s in sources) > 1:
         raise ConfigError(f"{where}: more than one source is motion capture; merge them into one")
-    if not any((name, False) in seen for name in ("p", "qw", *EULER_ANGLES)):
+    turning = any((name, False) in seen for name in ("p", "qw", *EULER_ANGLES))
+    if not turning and not ({("qw", True), ("x", True)} <= set(seen) and len(sources) > 1):
         raise ConfigError(
-            f"{where}: no source maps body rates (p, q, r) or an attitude (qw, qx, qy, qz or roll, pitch, yaw); map "
-            "one of them, nothing can be identified without"
+            f"{where}: no source maps body rates (p, q, r) or an attitude (qw, qx, qy, qz or roll, pitch, yaw), and no "
+            "motion capture maps position and attitude; map one of them, nothing can be identified without"
         )
     return TableMapping(clock, sources)
 

@@ -36,7 +36,7 @@ def read_table_log(
 
     path     CSV or Parquet file; mapping  the section "table columns"; poles  magnets of a motor, for electrical speeds
     Returns  Recording: "onboard" (the source of p q r), "onboard <name>" for further sources, "capture"; SI, earth NED,
-             body FRD; t in s from the first sample of the gyro (else of the attitude), on its clock
+             body FRD; t in s from the first sample of the main source, on its clock
     Raises   ConfigError for a wrong mapping, ReadError for a table that lacks a column or cannot be read
     """
     path = Path(path)
@@ -137,11 +137,17 @@ def _row_times(
 
 
 def _main_source(raw: "list[MappedSource]", path: Path) -> "MappedSource":
-    """The source whose clock is the flight's: that of the gyro, else of the attitude. Raises ReadError without both."""
+    """The source whose clock is the flight's: that of the gyro, else of the attitude, else the first on board.
+
+    Raises ReadError where nothing turns.
+    """
+    logged = [r for r in raw if not r.source.capture]
     for names in (VECTOR_COLUMNS["rates"], QUATERNION, EULER_ANGLES):
-        for r in raw:
-            if not r.source.capture and any(n in r.values for n in names):
+        for r in logged:
+            if any(n in r.values for n in names):
                 return r
+    if logged and any("qw" in r.values for r in raw):
+        return logged[0]
     raise ReadError(f"{path} holds neither body rates nor an attitude in the columns that are mapped; log one of them")
 
 
