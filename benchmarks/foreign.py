@@ -111,6 +111,7 @@ def write_project(
     gone = {name for what in lacking for name in SIGNALS[what]}
     for source in document["table columns"]["sources"]:
         source["columns"] = {k: c for k, c in source["columns"].items() if k not in gone}
+    document["table columns"]["sources"] = [s for s in document["table columns"]["sources"] if s["columns"]]
     documents: dict[str, Any] = {
         "data/vehicle.json": document,
         "config/processing.json": {"logging file": {**flown, "rows of flights to use (all)": [f"2-{len(keys) + 1}"]}},

@@ -16,7 +16,7 @@ from quasi.importing.derivatives import derivative_error, made_of
 from quasi.importing.resampling import grid, low_pass, resample_attitude, velocity
 from quasi.importing.series import Series, Track
 
-QUATERNION, POSITION = ("qw", "qx", "qy", "qz"), ("x", "y", "z")
+QUATERNION, POSITION_COLUMNS = ("qw", "qx", "qy", "qz"), ("x", "y", "z")
 
 
 @dataclass(frozen=True)
@@ -37,7 +37,7 @@ class Captured:
     @property
     def complete(self) -> bool:
         """Whether position and attitude were captured."""
-        return all(name in self.series.values for name in (*POSITION, *QUATERNION))
+        return all(name in self.series.values for name in (*POSITION_COLUMNS, *QUATERNION))
 
     def times(self, gyro: Track | None, where: str) -> np.ndarray:
         """Times (n,) s of the capture on the log's clock. Raises DataError where nothing ties the two clocks.
@@ -54,7 +54,7 @@ class Captured:
         if self.longest_lag is None:
             return self.series.t
         onboard = Motion(gyro.t - self.gyro_delay, gyro.values)
-        seen = Motion(self.series.t, quaternion=self.series.matrix(QUATERNION), position=self.series.matrix(POSITION))
+        seen = Motion(self.series.t, quaternion=self.series.matrix(QUATERNION), position=self.series.matrix(POSITION_COLUMNS))
         return synchronise(onboard, seen, (), self.longest_lag, where).to_onboard(self.series.t)
 
 
@@ -64,7 +64,7 @@ def force_and_rates(captured: Captured, t: np.ndarray, bandwidth: float) -> dict
     t          (n,) s, times of the capture on the log's clock; bandwidth  Hz of derivatives (-3 dB)
     Returns    {"accelerometer" | "gyro": (Track, how it was made)}
     """
-    place, turned = captured.series.matrix(POSITION), captured.series.matrix(QUATERNION)
+    place, turned = captured.series.matrix(POSITION_COLUMNS), captured.series.matrix(QUATERNION)
     seen = np.isfinite(place).all(axis=1) & np.isfinite(turned).all(axis=1)
     t, place, turned = t[seen], place[seen], turned[seen]
     rate = 1.0 / float(np.median(np.diff(t)))
