@@ -5,6 +5,7 @@ from collections.abc import Mapping
 from functools import partial
 from typing import Any, NamedTuple
 
+import foreign_drone_models
 import numpy as np
 from foreign_vehicles import VEHICLES, of
 
@@ -123,17 +124,54 @@ def together(first: Case, second: Case) -> Case:
     )  # fmt: skip
 
 
-def unlisted_cases() -> dict[str, Case]:
-    """Forces and moments of RotorPy that no cause of the catalogue describes."""
+def drone_models_cases(name: str) -> dict[str, Case]:
+    """One parameter of drone-models each, and faults of sensors."""
+    from foreign_drone_models import TO_RPM, moved
+
+    p = vehicle_of(name).parameters()
+    shift = (0.003, -0.002, 0.0)
+    moments = np.diag(p["J"])
+    linear = -float(p["rpm2thrust"][1]) * TO_RPM
+
+    def shifted(document: dict[str, Any]) -> None:
+        moved(document, shift)
+
+    cases = {
+        "clean": Case(may_miss=True),
+        "mass x 1.08": Case(("mass",), value={"mass": 1.08 * p["mass"]}, change=scaled(mass=1.08)),
+        "rotor 3 x 0.93": Case(("rotor_effectiveness",), value={"rotor3": 0.93}, change={"weak": {3: 0.93}}),
+        "thrust x 0.95": Case(("thrust_factor",), value={"factor": 0.95}, change=scaled(rpm2thrust=0.95)),
+        "torque x 1.2": Case(("torque_factor",), value={"factor": 1.2}, change=scaled(rpm2torque=1.2)),
+        "inertia x 1.2": Case(("inertia",), value=dict(zip(("Ixx", "Iyy", "Izz"), 1.2 * moments)),
+                              change=scaled(J=1.2)),
+        "cg moved": Case(("cg_offset",), ("imu_lever_arm", "marker_offset"), {"x": shift[0], "y": -shift[1]},
+                         {"change": shifted}),
+        # of all axes, and of no rotor: the catalogue's drags depend on rotors or on the square of speed
+        "drag x 2": Case(("rotor_drag", "body_drag"), ("axial_inflow",), change=scaled(drag_matrix=2.0)),
+        "wind 3 m/s": Case(("wind",), value={"north": 2.4, "east": -1.8}, change={"wind": (2.4, 1.8, 0.0)}),
+        "motor lag x 2": Case(("motor_lag",), change=scaled(rotor_dyn_coef=0.5)),
+        "rotor inertia x 4": Case(("rotor_acceleration_torque",), ("rotor_gyroscopic",),
+                                  change=scaled(prop_inertia=4.0)),
+        "thrust as the square": Case(("thrust_curve", "thrust_factor"), value={"c1": linear},
+                                     change=scaled(rpm2thrust=np.array([1.0, 0.0, 1.0]))),
+        "thrust fades": Case(("thrust_drift",), value={"rate": -0.002}, change={"fading": 0.002}),
+        **unlisted_cases(0.1),
+        **sensor_cases(),
+    }  # fmt: skip
+    return cases | {"mass x 1.08 and wind 3 m/s": together(cases["mass x 1.08"], cases["wind 3 m/s"])}
+
+
+def unlisted_cases(size: float = 1.0) -> dict[str, Case]:
+    """Forces and moments that no cause of the catalogue describes. size  of the forces, for vehicles of other weights"""
 
     def cubic(_: np.ndarray, velocity: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        return -0.03 * float(velocity @ velocity) * velocity, np.zeros(3)  # N s3/m3
+        return -0.03 * size * float(velocity @ velocity) * velocity, np.zeros(3)  # N s3/m3
 
     def layered(position: np.ndarray, _: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        return np.array([0.0, 0.0, 0.3 * np.sin(2 * np.pi * position[2] / 0.4)]), np.zeros(3)  # N, m
+        return np.array([0.0, 0.0, 0.3 * size * np.sin(2 * np.pi * position[2] / 0.4)]), np.zeros(3)  # N, m
 
     def sideways(_: np.ndarray, velocity: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        return np.array([0.0, 0.05 * velocity[0] * abs(velocity[0]), 0.0]), np.zeros(3)  # N s2/m2
+        return np.array([0.0, 0.05 * size * velocity[0] * abs(velocity[0]), 0.0]), np.zeros(3)  # N s2/m2
 
     # a drag with the cube of speed differs from body drag by its form alone
     near = {"cubic drag": ("body_drag",)}
@@ -189,10 +227,13 @@ def mujoco_cases() -> dict[str, Case]:
 
 
 SIMULATORS = {
-    "rotorpy": rotorpy_cases, "mujoco": mujoco_cases, **{name: partial(other_cases, name) for name in VEHICLES}
+    "rotorpy": rotorpy_cases, "mujoco": mujoco_cases, **{name: partial(other_cases, name) for name in VEHICLES},
+    **{name: partial(drone_models_cases, name) for name in foreign_drone_models.VEHICLES},
 }  # fmt: skip
 
 
 def vehicle_of(simulator: str) -> Any:
-    """How a simulator flies: a module, or what `foreign_vehicles` makes of RotorPy's other vehicles."""
+    """How a simulator flies: a module, or what `foreign_vehicles` and `foreign_drone_models` make of their vehicles."""
+    if simulator in foreign_drone_models.VEHICLES:
+        return foreign_drone_models.of(simulator)
     return of(simulator) if simulator in VEHICLES else importlib.import_module(f"foreign_{simulator}")

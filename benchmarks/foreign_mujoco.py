@@ -10,8 +10,7 @@ from typing import Any
 
 import numpy as np
 from foreign_flights import Motion, Vehicle
-from foreign_pilot import RATE, Course
-from scipy.spatial.transform import Rotation
+from foreign_pilot import RATE, Cascade, Course
 
 STEPS = 2  # of simulation and control for one of the course
 FACTOR, TORQUE = 1.5e-6, 0.016  # N s2/rad2 of a rotor; N m per N of thrust
@@ -58,37 +57,6 @@ def vehicle() -> Vehicle:
     return Vehicle("Mujo", MASS, INERTIA, HUBS, "CW", 0.0635, FASTEST, places, arrays=True)
 
 
-class Cascade:
-    """Position, velocity, attitude and rate loops; it knows the nominal vehicle."""
-
-    def __init__(self) -> None:
-        """Integrators at zero; the mixer from the nominal geometry."""
-        self.drift = np.zeros(3)
-        self.turned = np.zeros(3)
-        rows = [np.ones(4), HUBS[:, 1], -HUBS[:, 0], TORQUE * TURNS]
-        self.mixer = np.linalg.inv(np.array(rows))
-
-    def thrusts(self, course: Course, k: int, state: np.ndarray, h: float) -> np.ndarray:
-        """Of each rotor, N; state: position, quaternion w x y z, velocity (world), rates (body)."""
-        turn = Rotation.from_quat(state[3:7], scalar_first=True)
-        error = np.clip(course.position[k] - state[:3], -0.8, 0.8)
-        speed = course.velocity[k] + 2.5 * error - state[7:10]
-        self.drift = np.clip(self.drift + 1.0 * h * speed, -2.0, 2.0)
-        wanted = course.acceleration[k] + 4.0 * speed + self.drift + [0.0, 0.0, 9.81]
-        wanted[2] = max(wanted[2], 3.0)
-        up = wanted / np.linalg.norm(wanted)
-        left = np.cross(up, [np.cos(course.yaw[k]), np.sin(course.yaw[k]), 0.0])
-        left /= np.linalg.norm(left)
-        goal = Rotation.from_matrix(np.column_stack([np.cross(left, up), left, up]))
-        rates = np.array([9.0, 9.0, 4.0]) * (turn.inv() * goal).as_rotvec()
-        rates[2] += course.yaw_rate[k]
-        off = np.clip(rates, -8.0, 8.0) - state[10:13]
-        self.turned = np.clip(self.turned + h * off, -0.5, 0.5)
-        moment = np.array(INERTIA) * ([25.0, 25.0, 12.0] * off + 15.0 * self.turned)
-        lift = MASS * max(float(wanted @ turn.apply([0.0, 0.0, 1.0])), 2.0)
-        return np.clip(self.mixer @ [lift, *moment], FACTOR * IDLE**2, FACTOR * FASTEST**2)
-
-
 def fly(
     course: Course,
     change: Callable[[Any], None] | None = None,
@@ -107,7 +75,8 @@ def fly(
         mujoco.mj_setConst(model, mujoco.MjData(model))  # what follows from masses, such as those of subtrees
     data = mujoco.MjData(model)
     data.act[:] = FACTOR * IDLE**2
-    control, h, n = Cascade(), 1 / RATE / STEPS, STEPS * len(course.yaw)
+    control = Cascade(MASS, INERTIA, HUBS, TORQUE * TURNS, (FACTOR * IDLE**2, FACTOR * FASTEST**2))
+    h, n = 1 / RATE / STEPS, STEPS * len(course.yaw)
     rows = np.zeros((n, 30))
     for j in range(n):
         k = j // STEPS

@@ -1,8 +1,11 @@
-"""Courses of a lab's flights: hover, circles, lemniscates, steps, heave, yaw and sprints, ordered by a seed."""
+"""Courses of a lab's flights: hover, circles, lemniscates, steps, heave, yaw and sprints, ordered by a seed; and a
+cascade that follows them, for simulators without a controller."""
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 RATE = 250  # Hz
 REST, RISE = 3.0, 2.5  # s
@@ -85,3 +88,40 @@ def course(seed: int) -> Course:
     return Course(
         path + jump, velocity, np.gradient(velocity, 1 / RATE, axis=0), yaw, np.gradient(yaw, 1 / RATE), armed
     )
+
+
+class Cascade:
+    """Position, velocity, attitude and rate loops; it knows the nominal vehicle.
+
+    mass kg; inertia (3,) kg m2; hubs (4, 3) m, x forward, y left; torques (4,) N m about z up per N of thrust
+    thrust  least and most of a rotor, N; stiffness (3,) 1/s, angular acceleration for an error of the rates
+    """
+
+    def __init__(
+        self, mass: float, inertia: Sequence[float], hubs: np.ndarray, torques: np.ndarray,
+        thrust: tuple[float, float], stiffness: tuple[float, float, float] = (25.0, 25.0, 12.0),
+    ) -> None:  # fmt: skip
+        """Integrators at zero; the mixer from the nominal geometry."""
+        self.mass, self.inertia, self.limits = mass, np.array(inertia), thrust
+        self.drift, self.turned, self.stiffness = np.zeros(3), np.zeros(3), stiffness
+        self.mixer = np.linalg.inv(np.array([np.ones(4), hubs[:, 1], -hubs[:, 0], torques]))
+
+    def thrusts(self, course: Course, k: int, state: np.ndarray, h: float) -> np.ndarray:
+        """Of each rotor, N; state: position, quaternion w x y z, velocity (world), rates (body)."""
+        turn = Rotation.from_quat(state[3:7], scalar_first=True)
+        error = np.clip(course.position[k] - state[:3], -0.8, 0.8)
+        speed = course.velocity[k] + 2.5 * error - state[7:10]
+        self.drift = np.clip(self.drift + 1.0 * h * speed, -2.0, 2.0)
+        wanted = course.acceleration[k] + 4.0 * speed + self.drift + [0.0, 0.0, 9.81]
+        wanted[2] = max(wanted[2], 3.0)
+        up = wanted / np.linalg.norm(wanted)
+        left = np.cross(up, [np.cos(course.yaw[k]), np.sin(course.yaw[k]), 0.0])
+        left /= np.linalg.norm(left)
+        goal = Rotation.from_matrix(np.column_stack([np.cross(left, up), left, up]))
+        rates = np.array([9.0, 9.0, 4.0]) * (turn.inv() * goal).as_rotvec()
+        rates[2] += course.yaw_rate[k]
+        off = np.clip(rates, -8.0, 8.0) - state[10:13]
+        self.turned = np.clip(self.turned + h * off, -0.5, 0.5)
+        moment = self.inertia * (self.stiffness * off + 15.0 * self.turned)
+        lift = self.mass * max(float(wanted @ turn.apply([0.0, 0.0, 1.0])), 2.0)
+        return np.clip(self.mixer @ [lift, *moment], *self.limits)

@@ -54,7 +54,9 @@ class Captured:
         if self.longest_lag is None:
             return self.series.t
         onboard = Motion(gyro.t - self.gyro_delay, gyro.values)
-        seen = Motion(self.series.t, quaternion=self.series.matrix(QUATERNION), position=self.series.matrix(POSITION_COLUMNS))
+        seen = Motion(
+            self.series.t, quaternion=self.series.matrix(QUATERNION), position=self.series.matrix(POSITION_COLUMNS)
+        )
         return synchronise(onboard, seen, (), self.longest_lag, where).to_onboard(self.series.t)
 
 

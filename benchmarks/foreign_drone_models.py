@@ -1,0 +1,176 @@
+"""Flights of drone-models (MIT; Learning Systems Lab): Crazyflies with thrust, torque and motors as measured on them.
+
+Its dynamics have what RotorPy and MuJoCo lack: a thrust and a torque that are no plain squares of the speed, motors
+that slow down unlike they speed up, and drag that depends on no rotor. They are integrated by the classical
+Runge-Kutta method, with a derivative of the attitude of our own, as the package advises. Its gyroscopic moment about x has the opposite sign of -w x h; with rotors in pairs it is small.
+"""
+
+import copy
+import os
+from collections.abc import Callable, Mapping
+from functools import partial
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+from foreign_flights import GRAVITY, Motion, Vehicle
+from foreign_pilot import RATE, Cascade, Course
+from scipy.spatial.transform import Rotation
+
+Load = Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]
+TO_RPM = 30.0 / np.pi
+COMPENSATED = 0.03  # s, lag of the motors that the flight controller's lead leaves
+STIFFNESS = (14.0, 14.0, 3.0)  # 1/s, of the rates: an accelerating rotor turns the vehicle before its drag does
+# the brushed Crazyflie with stronger motors, and the brushless one
+VEHICLES = {"thrust_upgrade": "cf2x_T350", "brushless_500": "cf21B_500"}
+USED = ("mass", "L", "prop_inertia", "gravity_vec", "J", "rpm2thrust", "rpm2torque", "mixing_matrix", "drag_matrix",
+        "rotor_dyn_coef")  # fmt: skip
+
+
+def of(name: str) -> SimpleNamespace:
+    """The vehicle `name` of `VEHICLES`, with what a module of a simulator holds."""
+    p = parameters(name)
+    hover = float(speed_of(p, p["mass"] * GRAVITY / 4)) / TO_RPM
+    return SimpleNamespace(
+        ALWAYS=frozenset({"rotor_drag", "body_drag", "axial_inflow", "thrust_curve"}),
+        SENSORS={"hover": hover},
+        parameters=partial(parameters, name),
+        vehicle=partial(vehicle, name),
+        fly=partial(fly, name),
+    )
+
+
+def parameters(name: str) -> dict[str, Any]:
+    """Published parameters, as arrays."""
+    import tomllib
+    from importlib.resources import files
+
+    text = files("drone_models").joinpath("data/params.toml").read_text()
+    return {key: np.array(value, float) for key, value in tomllib.loads(text)[VEHICLES[name]].items()}
+
+
+def hubs_of(p: Mapping[str, Any]) -> np.ndarray:
+    """Places of the rotors (4, 3), m, x forward, y left, from the mixing of thrusts."""
+    roll, pitch, _ = p["mixing_matrix"]
+    return np.column_stack([-pitch, roll, 0 * roll]) * p["L"]
+
+
+def vehicle(name: str) -> Vehicle:
+    """What the lab writes down about it."""
+    p = parameters(name)
+    hubs = hubs_of(p)
+    places = {
+        f"{'front' if x > 0 else 'aft'} {'left' if y > 0 else 'right'}": i + 1 for i, (x, y, _) in enumerate(hubs)
+    }
+    turns = "CW" if p["mixing_matrix"][2, 0] > 0 else "CCW"
+    inertia = tuple(map(float, np.diag(p["J"])))
+    return Vehicle(name, float(p["mass"]), inertia, hubs, turns, float(p["prop_radius"]), fastest(p) / TO_RPM, places)
+
+
+def speed_of(p: Mapping[str, Any], thrust: np.ndarray) -> np.ndarray:
+    """Speed of a rotor, rpm, that gives a thrust, N."""
+    _, b, c = p["rpm2thrust"]
+    return (-b + np.sqrt(b * b + 4.0 * c * np.asarray(thrust))) / (2.0 * c)
+
+
+def fastest(p: Mapping[str, Any]) -> float:
+    """Speed of full thrust, rpm."""
+    return float(speed_of(p, p["thrust_max"]))
+
+
+def led(p: Mapping[str, Any], wanted: np.ndarray, speed: np.ndarray) -> np.ndarray:
+    """Commands (4,), rpm, with which motors of these parameters reach the wanted speeds with a lag of COMPENSATED."""
+    rate = (wanted - speed) / COMPENSATED
+    up = rate > 0
+    first, second = (np.where(up, p["rotor_dyn_coef"][k], p["rotor_dyn_coef"][k + 2]) for k in (0, 1))
+    # first (c - w) + second (c^2 - w^2) = rate, for c
+    level = first * speed + second * speed**2 + rate
+    square = np.where(second > 0, second, 1.0)
+    root = (-first + np.sqrt(np.maximum(first**2 + 4.0 * square * level, 0.0))) / (2.0 * square)
+    return np.where(second > 0, root, level / np.where(first > 0, first, 1.0))
+
+
+def moved(p: dict[str, Any], shift: tuple[float, float, float]) -> None:
+    """Rotors as seen from a cg that has moved by `shift`, m."""
+    p["mixing_matrix"][0] -= shift[1] / p["L"]
+    p["mixing_matrix"][1] += shift[0] / p["L"]
+
+
+def fly(
+    name: str,
+    course: Course,
+    change: Callable[[dict[str, Any]], None] | None = None,
+    wind: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    weak: Mapping[int, float] | None = None,
+    fading: float = 0.0,
+    load: Load | None = None,
+) -> Motion:
+    """One flight.
+
+    change  alters the vehicle's parameters, which the controller does not know; wind  m/s, world
+    weak    {rotor from 1: factor of its thrust}; fading  1/s, share of all rotors' thrust and torque lost with time
+    load    (position m, velocity m/s body) to a force N and moment N m, body, of no parameter
+    """
+    os.environ["SCIPY_ARRAY_API"] = "1"  # which the package insists on
+    from drone_models.first_principles import dynamics
+
+    known = parameters(name)
+    p = copy.deepcopy(known)
+    if change is not None:
+        change(p)
+    least, most = float(known["thrust_min"]), float(known["thrust_max"])
+    torques = known["mixing_matrix"][2] * known["thrust2torque"]
+    control = Cascade(float(known["mass"]), np.diag(known["J"]), hubs_of(known), torques, (least, most), STIFFNESS)
+    idle, top, blown = float(speed_of(known, least)), fastest(known), np.array(wind)
+    lost = np.array([(weak or {}).get(i + 1, 1.0) for i in range(4)]) - 1.0
+    h, n = 1 / RATE, len(course.yaw)
+    used = {key: p[key] for key in USED}
+    turning = np.linalg.inv(p["J"])
+
+    def slope(s: np.ndarray, command: np.ndarray, t: float) -> np.ndarray:
+        turn = Rotation.from_quat(s[3:7])
+        kept = 1.0 - fading * t
+        thrust = p["rpm2thrust"][1] * s[13:] + p["rpm2thrust"][2] * s[13:] ** 2
+        further = np.array([0.0, 0.0, kept * lost @ thrust])
+        moment = np.array([p["mixing_matrix"][0] @ (lost * thrust), p["mixing_matrix"][1] @ (lost * thrust), 0.0])
+        moment *= kept * p["L"]
+        if load is not None:
+            own = load(s[:3], turn.inv().apply(s[7:10] - blown))
+            further, moment = further + own[0], moment + own[1]
+        further -= p["drag_matrix"] @ turn.inv().apply(blown)
+        velocity, _, *others = dynamics(
+            s[:3], s[3:7], s[7:10], s[10:13], command, s[13:], turn.apply(further), turn.apply(moment),
+            **{**used, "J_inv": turning, "rpm2thrust": kept * p["rpm2thrust"], "rpm2torque": kept * p["rpm2torque"]},
+        )  # fmt: skip
+        x, y, z, w = s[3:7]
+        p_, q_, r_ = 0.5 * s[10:13]
+        turned = [w * p_ + y * r_ - z * q_, w * q_ + z * p_ - x * r_, w * r_ + x * q_ - y * p_]
+        return np.concatenate([velocity, turned, [-x * p_ - y * q_ - z * r_], *others])
+
+    s = np.concatenate([np.zeros(3), [0.0, 0.0, 0.0, 1.0], np.zeros(6), np.full(4, idle)])
+    states, slopes, commands = np.zeros((n, 17)), np.zeros((n, 17)), np.full((n, 4), idle)
+    for j in range(n):
+        t = j * h
+        if course.armed[j]:
+            state = np.concatenate([s[:3], s[[6, 3, 4, 5]], s[7:13]])
+            wanted = speed_of(known, control.thrusts(course, j, state, h))
+            commands[j] = np.clip(led(known, wanted, s[13:]), idle, top)
+        one = slope(s, commands[j], t)
+        two = slope(s + h / 2 * one, commands[j], t)
+        three = slope(s + h / 2 * two, commands[j], t)
+        four = slope(s + h * three, commands[j], t)
+        states[j], slopes[j] = s, one
+        grounded = s[2] <= 0.0 and one[9] <= 0.0
+        if grounded:  # the floor carries what thrust does not, and holds the feet
+            slopes[j, 7:13] = 0.0
+        s = s + h / 6 * (one + 2 * two + 2 * three + four)
+        s[3:7] /= np.linalg.norm(s[3:7])
+        if grounded or s[2] < 0.0:
+            yaw = Rotation.from_quat(s[3:7]).as_euler("ZYX")[0]
+            s[2], s[3:7] = 0.0, Rotation.from_euler("z", yaw).as_quat()
+            s[7:13] = 0.0
+    force = Rotation.from_quat(states[:, 3:7]).inv().apply(slopes[:, 7:10] + [0.0, 0.0, GRAVITY])
+    return Motion(
+        h * np.arange(n), states[:, :3], states[:, 3:7], states[:, 10:13], slopes[:, 10:13], force,
+        states[:, 13:] / TO_RPM, commands / top,
+    )  # fmt: skip
