@@ -3,11 +3,11 @@
     python benchmarks/foreign.py PLACE OUT [--simulators rotorpy mujoco] [--cases mass ...] [--seeds 1 2] [--record]
                                  [--without speeds accelerometer gyro] [--rough]
 
-PLACE is a folder with the simulators (`pip install --target PLACE --no-deps rotorpy mujoco drone-models casadi
-array-api-compat array-api-extra`), which are no dependency of quasi. For each simulator and seed, OUT holds one project folder, as a lab would have it: four reference flights,
-and five flights per case, two of them held out. Each case changes one parameter of the simulator, or of the sensors
-when the logs are written. The workflow imports, filters, identifies and compares. Flights and results stay in OUT, so
-that a second run makes only what is missing.
+PLACE is a folder with the simulators, which are no dependency of quasi (`pip install --target PLACE --no-deps rotorpy
+mujoco drone-models casadi array-api-compat array-api-extra`). For each simulator and seed, OUT holds one project
+folder, as a lab would have it: four reference flights, and five flights per case, two of them held out. Each case
+changes one parameter of the simulator, or of the sensors when the logs are written. The workflow imports, filters,
+identifies and compares. Flights and results stay in OUT, so that a second run makes only what is missing.
 
 --rough gives the sensors ten times the noise, half the rate and gaps. --without diagnoses the same logs without rotor
 speeds, accelerometer or gyro, in their own project folders. Nothing is recorded of either.

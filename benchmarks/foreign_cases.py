@@ -162,7 +162,7 @@ def drone_models_cases(name: str) -> dict[str, Case]:
 
 
 def unlisted_cases(size: float = 1.0) -> dict[str, Case]:
-    """Forces and moments that no cause of the catalogue describes. size  of the forces, for vehicles of other weights"""
+    """Forces and moments that no cause of the catalogue describes. size  of the forces, by the vehicle's weight"""
 
     def cubic(_: np.ndarray, velocity: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         return -0.03 * size * float(velocity @ velocity) * velocity, np.zeros(3)  # N s3/m3

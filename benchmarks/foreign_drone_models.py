@@ -2,7 +2,8 @@
 
 Its dynamics have what RotorPy and MuJoCo lack: a thrust and a torque that are no plain squares of the speed, motors
 that slow down unlike they speed up, and drag that depends on no rotor. They are integrated by the classical
-Runge-Kutta method, with a derivative of the attitude of our own, as the package advises. Its gyroscopic moment about x has the opposite sign of -w x h; with rotors in pairs it is small.
+Runge-Kutta method, with a derivative of the attitude of our own, as the package advises. Its gyroscopic moment about x
+has the opposite sign of -w x h; with rotors in pairs it is small.
 """
 
 import copy
@@ -11,6 +12,8 @@ from collections.abc import Callable, Mapping
 from functools import partial
 from types import SimpleNamespace
 from typing import Any
+
+os.environ["SCIPY_ARRAY_API"] = "1"  # which the package insists on
 
 import numpy as np
 from foreign_flights import GRAVITY, Motion, Vehicle
@@ -90,6 +93,20 @@ def led(p: Mapping[str, Any], wanted: np.ndarray, speed: np.ndarray) -> np.ndarr
     return np.where(second > 0, root, level / np.where(first > 0, first, 1.0))
 
 
+def compiled(p: Mapping[str, Any]) -> Callable[[np.ndarray, np.ndarray], np.ndarray]:
+    """The package's dynamics: derivative (17,) of position, attitude, velocity, rates and rotors, rpm.
+
+    Of these, a force N and a moment N m of further origin, both in the world (23,), and commands (4,) rpm
+    """
+    import casadi
+    from drone_models.first_principles import symbolic_dynamics
+
+    used = {key: p[key] for key in USED}
+    slope, state, command, _ = symbolic_dynamics(True, True, True, **used, J_inv=np.linalg.inv(p["J"]))
+    function = casadi.Function("slope", [state, command], [slope])
+    return lambda s, u: np.array(function(s, u)).ravel()
+
+
 def moved(p: dict[str, Any], shift: tuple[float, float, float]) -> None:
     """Rotors as seen from a cg that has moved by `shift`, m."""
     p["mixing_matrix"][0] -= shift[1] / p["L"]
@@ -111,9 +128,6 @@ def fly(
     weak    {rotor from 1: factor of its thrust}; fading  1/s, share of all rotors' thrust and torque lost with time
     load    (position m, velocity m/s body) to a force N and moment N m, body, of no parameter
     """
-    os.environ["SCIPY_ARRAY_API"] = "1"  # which the package insists on
-    from drone_models.first_principles import dynamics
-
     known = parameters(name)
     p = copy.deepcopy(known)
     if change is not None:
@@ -124,28 +138,23 @@ def fly(
     idle, top, blown = float(speed_of(known, least)), fastest(known), np.array(wind)
     lost = np.array([(weak or {}).get(i + 1, 1.0) for i in range(4)]) - 1.0
     h, n = 1 / RATE, len(course.yaw)
-    used = {key: p[key] for key in USED}
-    turning = np.linalg.inv(p["J"])
+    change_of = compiled(p)
 
     def slope(s: np.ndarray, command: np.ndarray, t: float) -> np.ndarray:
-        turn = Rotation.from_quat(s[3:7])
-        kept = 1.0 - fading * t
-        thrust = p["rpm2thrust"][1] * s[13:] + p["rpm2thrust"][2] * s[13:] ** 2
-        further = np.array([0.0, 0.0, kept * lost @ thrust])
-        moment = np.array([p["mixing_matrix"][0] @ (lost * thrust), p["mixing_matrix"][1] @ (lost * thrust), 0.0])
-        moment *= kept * p["L"]
+        turn = Rotation.from_quat(s[3:7]).as_matrix()
+        thrust, torque = (p[key] @ [np.ones(4), s[13:], s[13:] ** 2] for key in ("rpm2thrust", "rpm2torque"))
+        gone = (1.0 - fading * t) * (1.0 + lost) - 1.0
+        further = np.array([0.0, 0.0, gone @ thrust]) - p["drag_matrix"] @ (turn.T @ blown)
+        moment = np.append(p["L"] * p["mixing_matrix"][:2] @ (gone * thrust), 0.0)
+        moment[2] = -fading * t * p["mixing_matrix"][2] @ torque
         if load is not None:
-            own = load(s[:3], turn.inv().apply(s[7:10] - blown))
+            own = load(s[:3], turn.T @ (s[7:10] - blown))
             further, moment = further + own[0], moment + own[1]
-        further -= p["drag_matrix"] @ turn.inv().apply(blown)
-        velocity, _, *others = dynamics(
-            s[:3], s[3:7], s[7:10], s[10:13], command, s[13:], turn.apply(further), turn.apply(moment),
-            **{**used, "J_inv": turning, "rpm2thrust": kept * p["rpm2thrust"], "rpm2torque": kept * p["rpm2torque"]},
-        )  # fmt: skip
+        made = change_of(np.concatenate([s, turn @ further, turn @ moment]), command)
         x, y, z, w = s[3:7]
-        p_, q_, r_ = 0.5 * s[10:13]
-        turned = [w * p_ + y * r_ - z * q_, w * q_ + z * p_ - x * r_, w * r_ + x * q_ - y * p_]
-        return np.concatenate([velocity, turned, [-x * p_ - y * q_ - z * r_], *others])
+        i, j, k = 0.5 * s[10:13]
+        made[3:7] = w * i + y * k - z * j, w * j + z * i - x * k, w * k + x * j - y * i, -x * i - y * j - z * k
+        return made
 
     s = np.concatenate([np.zeros(3), [0.0, 0.0, 0.0, 1.0], np.zeros(6), np.full(4, idle)])
     states, slopes, commands = np.zeros((n, 17)), np.zeros((n, 17)), np.full((n, 4), idle)
