@@ -112,7 +112,9 @@ def main() -> int:
         if not options.no_install:
             python = f"{name}/venv/bin/python"
             create = measure([sys.executable, "-m", "venv", f"{name}/venv"], house, dict(os.environ))
-            install = measure([python, "-m", "pip", "install", "-q", "--no-compile", "-e", "."], house, dict(os.environ))
+            install = measure(
+                [python, "-m", "pip", "install", "-q", "--no-compile", "-e", "."], house, dict(os.environ)
+            )
             result["install"] = {"s": create[0] + install[0], "processor s": create[1] + install[1]}
             print(f"install: {result['install']['s']:.0f} s, processor {result['install']['processor s']:.0f} s")
         (Path(name) / "first").mkdir()

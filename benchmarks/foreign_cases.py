@@ -129,7 +129,7 @@ def drone_models_cases(name: str) -> dict[str, Case]:
     from foreign_drone_models import TO_RPM, moved
 
     p = vehicle_of(name).parameters()
-    shift = (0.003, -0.002, 0.0)
+    shift = (0.0015, -0.001, 0.0)
     moments = np.diag(p["J"])
     linear = -float(p["rpm2thrust"][1]) * TO_RPM
 

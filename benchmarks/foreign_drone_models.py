@@ -24,6 +24,7 @@ Load = Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]
 TO_RPM = 30.0 / np.pi
 COMPENSATED = 0.03  # s, lag of the motors that the flight controller's lead leaves
 STIFFNESS = (14.0, 14.0, 3.0)  # 1/s, of the rates: an accelerating rotor turns the vehicle before its drag does
+WOUND = 4.0  # rad, of the rates' integral: it has to hold what a moved cg does to so light a vehicle
 # the brushed Crazyflie with stronger motors, and the brushless one
 VEHICLES = {"thrust_upgrade": "cf2x_T350", "brushless_500": "cf21B_500"}
 USED = ("mass", "L", "prop_inertia", "gravity_vec", "J", "rpm2thrust", "rpm2torque", "mixing_matrix", "drag_matrix",
@@ -134,7 +135,9 @@ def fly(
         change(p)
     least, most = float(known["thrust_min"]), float(known["thrust_max"])
     torques = known["mixing_matrix"][2] * known["thrust2torque"]
-    control = Cascade(float(known["mass"]), np.diag(known["J"]), hubs_of(known), torques, (least, most), STIFFNESS)
+    control = Cascade(
+        float(known["mass"]), np.diag(known["J"]), hubs_of(known), torques, (least, most), STIFFNESS, WOUND
+    )
     idle, top, blown = float(speed_of(known, least)), fastest(known), np.array(wind)
     lost = np.array([(weak or {}).get(i + 1, 1.0) for i in range(4)]) - 1.0
     h, n = 1 / RATE, len(course.yaw)

@@ -94,16 +94,18 @@ class Cascade:
     """Position, velocity, attitude and rate loops; it knows the nominal vehicle.
 
     mass kg; inertia (3,) kg m2; hubs (4, 3) m, x forward, y left; torques (4,) N m about z up per N of thrust
-    thrust  least and most of a rotor, N; stiffness (3,) 1/s, angular acceleration for an error of the rates
+    thrust  least and most of a rotor, N; stiffness (3,) 1/s, angular acceleration for an error of the rates;
+    wound  rad, the most that this error's integral holds
     """
 
     def __init__(
         self, mass: float, inertia: Sequence[float], hubs: np.ndarray, torques: np.ndarray,
         thrust: tuple[float, float], stiffness: tuple[float, float, float] = (25.0, 25.0, 12.0),
+        wound: float = 0.5,
     ) -> None:  # fmt: skip
         """Integrators at zero; the mixer from the nominal geometry."""
         self.mass, self.inertia, self.limits = mass, np.array(inertia), thrust
-        self.drift, self.turned, self.stiffness = np.zeros(3), np.zeros(3), stiffness
+        self.drift, self.turned, self.stiffness, self.wound = np.zeros(3), np.zeros(3), stiffness, wound
         self.mixer = np.linalg.inv(np.array([np.ones(4), hubs[:, 1], -hubs[:, 0], torques]))
 
     def thrusts(self, course: Course, k: int, state: np.ndarray, h: float) -> np.ndarray:
@@ -121,7 +123,7 @@ class Cascade:
         rates = np.array([9.0, 9.0, 4.0]) * (turn.inv() * goal).as_rotvec()
         rates[2] += course.yaw_rate[k]
         off = np.clip(rates, -8.0, 8.0) - state[10:13]
-        self.turned = np.clip(self.turned + h * off, -0.5, 0.5)
+        self.turned = np.clip(self.turned + h * off, -self.wound, self.wound)
         moment = self.inertia * (self.stiffness * off + 15.0 * self.turned)
         lift = self.mass * max(float(wanted @ turn.apply([0.0, 0.0, 1.0])), 2.0)
         return np.clip(self.mixer @ [lift, *moment], *self.limits)
