@@ -24,6 +24,7 @@ Load = Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]
 TO_RPM = 30.0 / np.pi
 COMPENSATED = 0.03  # s, lag of the motors that the flight controller's lead leaves
 STIFFNESS = (14.0, 14.0, 3.0)  # 1/s, of the rates: an accelerating rotor turns the vehicle before its drag does
+ROOM = 0.9  # of the greatest thrust, that the controller asks for: the rest is for the motors' lead
 WOUND = 4.0  # rad, of the rates' integral: it has to hold what a moved cg does to so light a vehicle
 # the brushed Crazyflie with stronger motors, and the brushless one
 VEHICLES = {"thrust_upgrade": "cf2x_T350", "brushless_500": "cf21B_500"}

@@ -126,4 +126,8 @@ class Cascade:
         self.turned = np.clip(self.turned + h * off, -self.wound, self.wound)
         moment = self.inertia * (self.stiffness * off + 15.0 * self.turned)
         lift = self.mass * max(float(wanted @ turn.apply([0.0, 0.0, 1.0])), 2.0)
-        return np.clip(self.mixer @ [lift, *moment], *self.limits)
+        turning, (least, most) = self.mixer @ [0.0, *moment], self.limits
+        level = self.mixer @ [1.0, 0.0, 0.0, 0.0]
+        # a vehicle that has to turn gives up lift for it
+        lift = max(min(lift, ((most - turning) / level).min()), ((least - turning) / level).max())
+        return np.clip(lift * level + turning, least, most)
