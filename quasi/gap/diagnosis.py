@@ -27,7 +27,6 @@ from quasi.gap.flights.sessions import session_sentence
 from quasi.gap.levels import rotor_order
 from quasi.gap.levels.corrections import corrected_at_import
 from quasi.gap.levels.forces import polynomial_baseline
-from quasi.gap.levels.forces.beyond_references import left_beyond_references
 from quasi.gap.levels.forces.case import Case
 from quasi.gap.levels.forces.effect_size import acting
 from quasi.gap.levels.forces.error_reduction import Squares, after, removed, wrench_squares
@@ -35,19 +34,18 @@ from quasi.gap.levels.forces.estimated_speeds import add_battery, with_estimated
 from quasi.gap.levels.forces.findings import gusts
 from quasi.gap.levels.forces.held_out import best_wrong, everything, gain_axes, made_of
 from quasi.gap.levels.forces.identify import Found, examine
-from quasi.gap.levels.forces.left_out import residual_of_others
 from quasi.gap.levels.forces.tables import wrench_tables
 from quasi.gap.levels.rollouts import commanded, error_reduction, split_flights
 from quasi.gap.levels.rollouts.confirmation import Settled
 from quasi.gap.levels.rollouts.open_loop import HORIZON, MOVED_BY
-from quasi.gap.levels.sensors_and_drive import SEARCHES, rate_of, reject_immaterial
+from quasi.gap.levels.sensors_and_drive import rate_of, reject_immaterial
 from quasi.gap.levels.trim_evidence import gather_trim, trim_entries, why_rotor_is_enough
 from quasi.gap.losses import correction_matters, drive_losses, losses
 from quasi.gap.materiality import Cause
 from quasi.gap.probability import add_probabilities
 from quasi.gap.report.wording import summary
 from quasi.gap.scores import scored
-from quasi.gap.verdict import judge_causes
+from quasi.gap.verdict import errors_beyond_references, judge_causes
 from quasi.model.extensions import configured_mass
 from quasi.model.model import AXES, Model
 
@@ -170,15 +168,7 @@ def diagnose(
         if not any(u["channel"][0] == "F" for u in lists["unexplained"]):
             restless = gusts(found.study, compared, [c.effect.id for c in kept])
         if not lists["unexplained"] and not restless:
-            # ties are taken into account: what they explain is no secret
-            stood_for = Model(case.extended([*kept, *found.stand_ins], found.study, f"gap {name}", again), "ties")
-            # what made the model is judged as the other flights are: by what it had no part in
-            made = made_of(model, groups["reference"])
-            usual = residual_of_others(found.study, groups["reference"]) if made else after(model, model)
-            lists["unexplained"] += left_beyond_references(
-                groups["reference"], [*groups["compared"], *held], usual, after(stood_for, model),
-                0.5 * settings["false alarm rate"] / SEARCHES,
-            )  # fmt: skip
+            lists["unexplained"] += errors_beyond_references(case, settled, found)
     lower_effects = [lower_effect(e, level, gap) for level in ("sensors", "drive") for e in levels[level]["effects"]]
     lower_effects, shifted = of_late_telemetry(lower_effects)
     corrected_ones = [e for e in lower_effects if corrected_at_import(e["id"], e["level"])]

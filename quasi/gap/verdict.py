@@ -8,15 +8,20 @@ material.
 """
 
 from collections.abc import Callable, Mapping, Sequence
+from typing import Any
 
 import numpy as np
 
+from quasi.gap.catalogue import whole_of
 from quasi.gap.effect import Effect
 from quasi.gap.entries import needed
 from quasi.gap.levels.forces import unexplained
+from quasi.gap.levels.forces.beyond_references import left_beyond_references
 from quasi.gap.levels.forces.case import Case
 from quasi.gap.levels.forces.error_reduction import after, wrench_squares
+from quasi.gap.levels.forces.held_out import made_of
 from quasi.gap.levels.forces.identify import Found
+from quasi.gap.levels.forces.left_out import residual_of_others
 from quasi.gap.levels.rollouts import split_flights
 from quasi.gap.levels.rollouts.confirmation import CONFIRMED, REFUTED, Settled, settle
 from quasi.gap.levels.rollouts.open_loop import HORIZON, MOVED_BY, WITHOUT_TRIM
@@ -33,8 +38,11 @@ from quasi.gap.losses import (
     wrench_pairs,
 )
 from quasi.gap.materiality import Cause
+from quasi.gap.selection import FORM_ERROR
 from quasi.gap.statistics.mixed import Candidate
 from quasi.model.model import AXES, Model
+
+BESIDE_UNKNOWN = "it makes so little of what no cause explains on its axes that it may be the error of that one's form"
 
 
 def reject_losing_causes(
@@ -121,7 +129,9 @@ def judge_causes(case: Case, found: Found) -> tuple[Settled, unexplained.Left]:
             case.settings["material share"],
         )  # fmt: skip
 
-    return _outdone(case, settled, found, left_by)
+    settled, left = _outdone(case, settled, found, left_by)
+    rest = _next_to_unknown(case, settled, found, left)
+    return (rest, left) if rest is settled else _outdone(case, rest, found, left_by)
 
 
 def _without(settled: Settled, cause: Cause, why: str, outcome: str = REFUTED) -> Settled:
@@ -276,3 +286,48 @@ def _outdone(
                 break
         else:
             return settled, left
+
+
+def _next_to_unknown(case: Case, settled: Settled, found: Found, left: unexplained.Left) -> Settled:
+    """Without changes that roll-outs do not confirm and that make next to nothing of what no cause explains on their
+    axes: of an error of unknown form, a part may look like anything."""
+    unknown = np.zeros(len(AXES))
+    for entry in left.entries or errors_beyond_references(case, settled, found):
+        if entry["since"] == "changed":
+            k = AXES.index(entry["channel"])
+            unknown[k] = max(unknown[k], entry["size"] ** 2)
+    for cause in settled.causes:
+        outcome = settled.confirmations[cause.effect.id, cause.since].outcome
+        if cause.since != "changed" or outcome == CONFIRMED or not unknown.any():
+            continue
+        if drowned(*_power(cause, case), unknown):
+            settled = _without(settled, cause, BESIDE_UNKNOWN)
+    return settled
+
+
+def drowned(own: np.ndarray, usual: np.ndarray, unknown: np.ndarray) -> bool:
+    """Whether most of what a cause makes, in units of each axis' error, lies on axes where an unknown error is so much
+    larger that the error of its form would exceed the cause. Mean squares (6,)"""
+    parts = own / np.maximum(usual, 1e-300)
+    return bool(parts[own < FORM_ERROR * unknown].sum() > 0.5 * parts.sum())
+
+
+def _power(cause: Cause, case: Case) -> tuple[np.ndarray, np.ndarray]:
+    """Mean squares (6,) about each flight's mean, of what a cause makes in the compared flights and of their errors."""
+    flights = [f for f, flag in zip(case.learning, case.compared) if flag]
+    made = [whole_of(cause.effect, f, case.vehicle, cause.value) for f in flights]
+    return tuple(np.mean([np.var(v, axis=0) for v in of], axis=0) for of in (made, [f.residual for f in flights]))
+
+
+def errors_beyond_references(case: Case, settled: Settled, found: Found) -> list[dict[str, Any]]:
+    """Entries of "unexplained": what compared flights leave beyond the reference flights, with causes and ties."""
+    kept = [*settled.causes, *found.stand_ins]
+    references = [f for f, flag in zip(case.learning, case.compared) if not flag]
+    others = [f for f, flag in zip(case.learning, case.compared) if flag] + list(case.held)
+    # ties are taken into account: what they explain is no secret
+    stood_for = Model(case.extended(kept, found.study, "ties", case.anew(settled.causes)), "ties")
+    # what made the model is judged as the other flights are: by what it had no part in
+    own = made_of(case.model, references)
+    usual = residual_of_others(found.study, references) if own else after(case.model, case.model)
+    rate = 0.5 * case.settings["false alarm rate"] / SEARCHES
+    return left_beyond_references(references, others, usual, after(stood_for, case.model), rate)

@@ -14,8 +14,8 @@ from quasi.gap.constant_loads import LOADS, constant_force_ties
 from quasi.gap.diagnosis import verdict_of
 from quasi.gap.losses import Loss, drive_losses, only_loss, trim_is_usual
 from quasi.gap.report.wording import tie_sentence
-from quasi.gap.verdict import reject_losing_causes
-from quasi.model.model import Model
+from quasi.gap.verdict import drowned, reject_losing_causes
+from quasi.model.model import AXES, Model
 
 
 def cause(name):
@@ -226,3 +226,17 @@ def test_a_lag_for_all_rotors_that_makes_three_of_them_worse_is_a_loss():
     assert [loss.quantity for loss in lost] == ["w1", "w4"]
     assert lost[0].sentence() == "the error of the speed of rotor 1 on the held-out flights grows from 0.9 to 8.1"
     assert not drive_losses({side: {} for side in sides})
+
+
+@pytest.mark.parametrize(
+    ("made", "unknown", "gives_way"),
+    [({"Fz": 0.016}, {"Fz": 0.12}, True),
+     ({"Fz": 0.05}, {"Fz": 0.12}, False),  # a good part of what is unknown
+     ({"Fz": 0.016}, {"Fx": 0.12}, False),  # unknown elsewhere
+     ({"Fz": 0.016, "My": 3e-3}, {"Fz": 0.12}, False),  # it shows most in another axis
+     ({"Fz": 0.016, "My": 3e-5}, {"Fz": 0.12}, True)],
+)  # fmt: skip
+def test_a_cause_far_below_an_unknown_error_of_its_axes_gives_way(made, unknown, gives_way):
+    """Sizes in N and N m rms, of flights whose errors are 0.1 N and 1e-3 N m."""
+    own, there = (np.array([sizes.get(a, 0.0) ** 2 for a in AXES]) for sizes in (made, unknown))
+    assert drowned(own, np.array([0.1] * 3 + [1e-3] * 3) ** 2, there) is gives_way
