@@ -42,7 +42,7 @@ from quasi.gap.selection import FORM_ERROR
 from quasi.gap.statistics.mixed import Candidate
 from quasi.model.model import AXES, Model
 
-BESIDE_UNKNOWN = "it makes so little of what no cause explains on its axes that it may be the error of that one's form"
+DROWNED = "it makes so little of what no cause explains on its axes that it may be the error of that one's form"
 
 
 def reject_losing_causes(
@@ -301,7 +301,7 @@ def _next_to_unknown(case: Case, settled: Settled, found: Found, left: unexplain
         if cause.since != "changed" or outcome == CONFIRMED or not unknown.any():
             continue
         if drowned(*_power(cause, case), unknown):
-            settled = _without(settled, cause, BESIDE_UNKNOWN)
+            settled = _without(settled, cause, DROWNED)
     return settled
 
 
