@@ -108,7 +108,7 @@ def examine(
     kept = [c for c in (*fewer, *common) if not any(_stands_for(c, *tie) for tie in ties)]
     kept = sorted(kept, key=lambda c: c.test.p)
     there = [c.test.offer for c in immaterial if c.since == "always" and c not in stand_ins]
-    kept, ties, vague = _widened(kept, ties, there, sought, compared, asked)
+    kept, ties, vague = _widened(kept, ties, there, sought, compared, asked, within)
     for cause in kept:
         cause.std = {n: s * flatness(cause.effect, study, vehicle, cause.value) for n, s in cause.std.items()}
     unjudged = [c for c in kept if any((c.effect.id, c.since) == (u.effect.id, u.since) for u in unjudged)]
@@ -183,17 +183,22 @@ def compute_leading_p(profile: Profile, test: Test, widening: float) -> float:
 
 def _widened(
     causes: Sequence[Cause], ties: Sequence[tuple[str, Tie]], there: Sequence[Candidate], sought: Sought,
-    compared: np.ndarray, asked: Mapping[str, Effect],
+    compared: np.ndarray, asked: Mapping[str, Effect], within: Mapping[str, Limits],
 ) -> tuple[list[Cause], list[tuple[str, Tie]], dict[str, tuple[Test, str]]]:  # fmt: skip
     """The causes and ties, estimated together and with what is given, with wider standard errors where the axes of one
     differ by more: then its form is not quite right, and which axis has the say decides on the value. A cause that is
     not significant with wider errors, or a tie that nothing is sure of, is left out, with the reason, and the others
     are estimated without it; of these, those that were significant only with it given go as well, one that only axes
-    without a say show, and one that is excessive. What was left out, or is impossible, stands for something unknown;
-    what explains next to nothing of it may be the error of its form. So may a small change of what all flights show
-    anyway, next to a clearer one.
+    without a say show, and one that is excessive or not physical any more. What was left out, or is impossible, stands
+    for something unknown; what explains next to nothing of it may be the error of its form. So may a small change of
+    what all flights show anyway, next to a clearer one.
     """
     kept, tied, vague, torn = list(causes), list(ties), {}, []
+
+    def possible(test: Test) -> bool:
+        return Profile.of(asked[test.offer.cause], within.get(test.offer.cause)).is_possible(test)
+
+    absent = {c.test.offer for c in causes if not possible(c.test)}  # as in `_fewest`
 
     def enough(one: tuple) -> float:
         return sought.level[one[1].offer.since] if isinstance(one[0], Cause) else SURELY
@@ -216,7 +221,13 @@ def _widened(
         small = [one for one in listed if any(_may_be_form(one[1], u, sought, compared, asked) for u in unknown)]
         clearest = min((one[1].p for one in listed if one[1].offer.since == "changed"), default=1.0)
         usual = [one for one in listed if one[1].p > clearest and _is_form_of_usual(one[1], every, sought)]
-        if large:
+        named = [one for one in listed if isinstance(one[0], Cause)]
+        beyond = [one for one in named if not possible(one[1]) and one[1].offer not in absent]
+        if beyond:
+            worst, test, _ = max(beyond, key=lambda one: one[1].p)
+            unknown.append(test)
+            why = UNPHYSICAL
+        elif large:
             worst, test, _ = max(large, key=lambda one: sought.rules.excess(one[1]))
             why = EXCESSIVE
         elif unsure:
