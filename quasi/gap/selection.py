@@ -241,19 +241,9 @@ class Search:
             return f"it explains so little that it may be the error of the form of {strongest.offer.cause}"
         if self.rules.is_excessive(t):
             return EXCESSIVE
-        if not profile.is_possible(t) and not self._is_absent(t, profile):
+        if not profile.is_possible(t) and not is_absent(t, profile, self.mixed, self.given, self.pooled, self.level):
             return UNPHYSICAL
         return "" if profile.has_leading_deviation(t) else "only its accompanying parameters differ"
-
-    def _is_absent(self, t: Test, profile: Profile) -> bool:
-        """Whether a change is that reference flights show the cause and the compared ones less of it: what each have
-        by themselves is physical, and the references' part is significant."""
-        if t.offer.since != "changed" or profile.absorbed:  # a model of the reference flights holds their part
-            return False
-        parts = [t.offer._replace(since=since) for since in ("reference", "changed")]
-        others = [n for n in self.pooled if n != t.offer.cause]
-        seen, left = (self.mixed.test(a, [*self.given, b], others) for a, b in (parts, parts[::-1]))
-        return seen.p < self.level and profile.is_possible(seen) and profile.is_possible(left)
 
     def _duplicates(self, offer: Candidate) -> bool:
         """Whether an offer is, or spans, what no data distinguish from an accepted cause: the two of them, large and
@@ -413,3 +403,19 @@ class Search:
                 ties.append(Tie([first, together], float((without.wald / len(which)) ** 0.5)))
                 kept = [n for n in kept if n not in parts]
         return kept, ties
+
+
+def is_absent(
+    test: Test, profile: Profile, mixed: MixedModel, given: Sequence[Candidate], pooled: Sequence[str], level: float
+) -> bool:
+    """Whether a change is that reference flights show the cause and the compared ones less of it: what each have by
+    themselves is physical, and the references' part is significant.
+
+    given  accepted causes; pooled  names of those whose spread between flights is shared
+    """
+    if test.offer.since != "changed" or profile.absorbed:  # a model of the reference flights holds their part
+        return False
+    parts = [test.offer._replace(since=since) for since in ("reference", "changed")]
+    others = [n for n in pooled if n != test.offer.cause]
+    seen, left = (mixed.test(a, [*given, b], others) for a, b in (parts, parts[::-1]))
+    return seen.p < level and profile.is_possible(seen) and profile.is_possible(left)

@@ -20,7 +20,7 @@ from quasi.gap.levels.forces.nonlinear import flatness
 from quasi.gap.levels.forces.search import Sought, estimate, merged, offers_of, seek, share_on_axes
 from quasi.gap.materiality import Cause, material, simplest
 from quasi.gap.profile import Profile
-from quasi.gap.selection import EXCESSIVE, FORM_ERROR, UNPHYSICAL, Named, Tie
+from quasi.gap.selection import EXCESSIVE, FORM_ERROR, UNPHYSICAL, Named, Tie, is_absent
 from quasi.gap.statistics.clustered import ClusteredMixedModel
 from quasi.gap.statistics.mixed import Candidate, Test
 from quasi.model.model import Model
@@ -195,10 +195,11 @@ def _widened(
     """
     kept, tied, vague, torn = list(causes), list(ties), {}, []
 
-    def possible(test: Test) -> bool:
-        return Profile.of(asked[test.offer.cause], within.get(test.offer.cause)).is_possible(test)
-
-    absent = {c.test.offer for c in causes if not possible(c.test)}  # as in `_fewest`
+    def beyond(test: Test, every: Sequence[Candidate]) -> bool:
+        profile = Profile.of(asked[test.offer.cause], within.get(test.offer.cause))
+        others, pooled = [o for o in every if o != test.offer], sought.mixed.pooled(test.offer.since)
+        level = sought.level[test.offer.since]
+        return not (profile.is_possible(test) or is_absent(test, profile, sought.mixed, others, pooled, level))
 
     def enough(one: tuple) -> float:
         return sought.level[one[1].offer.since] if isinstance(one[0], Cause) else SURELY
@@ -221,10 +222,9 @@ def _widened(
         small = [one for one in listed if any(_may_be_form(one[1], u, sought, compared, asked) for u in unknown)]
         clearest = min((one[1].p for one in listed if one[1].offer.since == "changed"), default=1.0)
         usual = [one for one in listed if one[1].p > clearest and _is_form_of_usual(one[1], every, sought)]
-        named = [one for one in listed if isinstance(one[0], Cause)]
-        beyond = [one for one in named if not possible(one[1]) and one[1].offer not in absent]
-        if beyond:
-            worst, test, _ = max(beyond, key=lambda one: one[1].p)
+        outside = [one for one in listed if isinstance(one[0], Cause) and beyond(one[1], every)]
+        if outside:
+            worst, test, _ = max(outside, key=lambda one: one[1].p)
             unknown.append(test)
             why = UNPHYSICAL
         elif large:
