@@ -144,8 +144,11 @@ def drone_models_cases(name: str) -> dict[str, Case]:
         "torque x 1.2": Case(("torque_factor",), value={"factor": 1.2}, change=scaled(rpm2torque=1.2)),
         "inertia x 1.2": Case(("inertia",), value=dict(zip(("Ixx", "Iyy", "Izz"), 1.2 * moments)),
                               change=scaled(J=1.2)),
-        "cg moved": Case(("cg_offset",), ("imu_lever_arm", "marker_offset"), {"x": shift[0], "y": -shift[1]},
-                         {"change": shifted}),
+        # the frame keeps its rotors, sensors and markers
+        "cg moved": Case(
+            ("cg_offset",), ("imu_lever_arm", "marker_offset"), {"x": shift[0], "y": -shift[1]}, {"change": shifted},
+            {"imu": (-shift[0], -shift[1], 0.0), "markers": (-shift[0], -shift[1], 0.03)},
+        ),
         # of all axes, and of no rotor: the catalogue's drags depend on rotors or on the square of speed
         "drag x 2": Case(("rotor_drag", "body_drag"), ("axial_inflow",), change=scaled(drag_matrix=2.0)),
         "wind 3 m/s": Case(("wind",), value={"north": 2.4, "east": -1.8}, change={"wind": (2.4, 1.8, 0.0)}),
