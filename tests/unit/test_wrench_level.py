@@ -9,7 +9,7 @@ import pytest
 from test_unexplained import RATE, ROWS, flight, ground, smooth  # noqa: F401
 
 from quasi.gap.catalogue import catalogue, whole_of
-from quasi.gap.effect import vehicle_of
+from quasi.gap.effect import Limits, vehicle_of
 from quasi.gap.extension import extend
 from quasi.gap.flights.instruments import reread
 from quasi.gap.levels.forces import held_out
@@ -21,7 +21,7 @@ from quasi.gap.levels.forces.held_out import everything
 from quasi.gap.levels.forces.identify import examine
 from quasi.gap.levels.forces.left_out import LeftOut, residual_of_others
 from quasi.gap.materiality import Cause
-from quasi.gap.selection import Named, Tie
+from quasi.gap.selection import UNPHYSICAL, Named, Tie
 from quasi.gap.statistics import mixed as tests_on
 from quasi.gap.statistics.mixed import Candidate
 from quasi.gap.statistics.scores import Score
@@ -335,14 +335,17 @@ def test_what_was_significant_beside_a_cause_that_axes_contradict_alone_goes_wit
             mixed=mixed, study=None, level={"changed": 1e-3}, flown=None, ranking=[], passed={},
             rules=SimpleNamespace(is_excessive=lambda _: False),
         )  # fmt: skip
-        kept, ties, vague = examination._widened(found, tied, [], sought, np.ones(3, bool), effects)
+        kept, ties, vague = examination._widened(found, tied, [], sought, np.ones(3, bool), effects, within)
         left.extend(ties)
         return kept, vague
 
     monkeypatch.setattr(examination, "share_on_axes", lambda *_: shared)
-    shared, tied, left = 0.0, [], []
+    shared, tied, left, within = 0.0, [], [], {}
     kept, vague = named("body_drag", "rotor_drag", "ground_effect")
     assert [c.effect.id for c in kept] == ["ground_effect"]
+    within = {"ground_effect": Limits([(0.0, 1.0)])}  # its 6 +- 1 is physical no more
+    assert named("ground_effect")[1]["ground_effect"][1] == UNPHYSICAL
+    within = {}
     assert "widens its errors 5.0 times" in vague["body_drag"][1]
     assert vague["rotor_drag"][1] == "p = 0.62 without body drag, whose axes differ"
     # a tie whose axes differ goes as well, with all its members
