@@ -270,14 +270,40 @@ def test_without_capture_nothing_of_this_level_can_be_asked():
     assert "f1" in level.notes[0]
 
 
-@pytest.mark.parametrize("sensor", ["accelerometer", "gyro"])
-def test_a_sensor_that_import_made_is_not_compared_with_the_capture(sensor):
+def test_a_gyro_that_import_made_is_not_compared_with_the_capture():
     made = flown(1)
-    made.metadata["reconstructed"] = {sensor: {"from": "the velocity"}}
+    made.metadata["reconstructed"] = {"gyro": {"from": "the velocity"}}
     level = examine([made], {})
     assert not level.effects
     assert {c["id"] for c in level.cannot_be_asked} >= {"gyro_bias", "accelerometer_scale"}
-    assert sensor in level.notes[0]
+    assert "gyro" in level.notes[0]
+
+
+def without_accelerometer(seed, **fault):
+    """A flight whose specific force import made of the capture, with whatever that may be wrong by."""
+    one = flown(seed, force_bias=2.0, **fault)
+    one.metadata["reconstructed"] = {"accelerometer": {"from": "the captured position and attitude"}}
+    return one
+
+
+@pytest.mark.parametrize(
+    ("cause", "fault", "expected"),
+    [("gyro_scale", {"gyro_scale": 1.04}, [1.04] * 3), ("gyro_bias", {"gyro_bias": np.array([0.1, 0.0, -0.1])}, None),
+     (None, {}, None)],
+)  # fmt: skip
+def test_without_an_accelerometer_the_gyro_is_still_compared(cause, fault, expected):
+    level = examine([without_accelerometer(1, **fault), flown(2, **fault), without_accelerometer(3, **fault)], {})
+    assert [e["id"] for e in level.effects] == ([cause] if cause else []) and not level.ties
+    assert {c["id"] for c in level.cannot_be_asked} >= {"accelerometer_bias", "accelerometer_scale", "imu_lever_arm",
+                                                        "room_tilt", "mocap_delay"}  # fmt: skip
+    if expected:
+        close(found(level, cause), expected)
+
+
+def test_a_turned_gyro_without_an_accelerometer_may_be_turned_markers():
+    level = examine([without_accelerometer(s, imu=(0.0, 0.0, 0.06)) for s in (1, 2, 3)], {})
+    assert not level.effects
+    assert [set(tie["ids"]) for tie in level.ties] == [{"imu_misalignment", "mocap_misalignment"}]
 
 
 def test_too_short_a_flight_says_so():

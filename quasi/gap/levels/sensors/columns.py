@@ -48,6 +48,7 @@ class Weak(NamedTuple):
     """t (n,) s, breaks (n,) bool as in `Evidence`; columns (n, 6, P), the residual first; names of all columns.
 
     turning  False where the attitude is not captured: then the rate channels are left out (zero)
+    feeling  False where the accelerometer is none of its own: then the others are
     """
 
     key: str
@@ -56,6 +57,7 @@ class Weak(NamedTuple):
     columns: np.ndarray
     names: list[str]
     turning: bool
+    feeling: bool = True
 
 
 def windows(width: float, rate: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -201,12 +203,13 @@ def weak_form(flown: Flown) -> Weak:
     missing = [c for c in needed if c not in flown.imported]
     if missing or flown.metadata.get("position source") != "capture":
         raise DataError(f"flight {flown.key} has no motion capture, which the comparison with inertial sensors needs")
-    if made := flown.metadata.get("reconstructed"):
+    turning = flown.metadata["attitude source"] == "capture"
+    made = flown.metadata.get("reconstructed") or {}
+    if made and not (turning and set(made) == {"accelerometer"}):
         raise DataError(
             f"flight {flown.key} has no {' and no '.join(made)} of its own: what import made of other signals cannot "
             "be compared with a capture"
         )
-    turning = flown.metadata["attitude source"] == "capture"
     frame = flown.imported
     t = frame["t"].to_numpy(float)
     dt = float(np.median(np.diff(t)))
@@ -239,7 +242,8 @@ def weak_form(flown: Flown) -> Weak:
 
     def add(name: str, rates: np.ndarray, acceleration: np.ndarray) -> None:
         names.append(name)
-        both = [np.broadcast_to(part, f.shape) for part in (rates if turning else nothing, acceleration)]
+        shown = (rates if turning else nothing, nothing if made else acceleration)
+        both = [np.broadcast_to(part, f.shape) for part in shown]
         columns.append(np.hstack(both))
 
     force = earth(f)
@@ -291,7 +295,7 @@ def weak_form(flown: Flown) -> Weak:
         )
     breaks = np.concatenate([[True], np.diff(rows) > every])
     stacked = np.stack([c[rows] for c in columns], axis=2)
-    return Weak(flown.key, t[rows], breaks, stacked, names, turning)
+    return Weak(flown.key, t[rows], breaks, stacked, names, turning, not made)
 
 
 def _thrusts(frame: pd.DataFrame, window: np.ndarray) -> list[np.ndarray]:

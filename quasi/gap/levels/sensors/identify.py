@@ -33,6 +33,7 @@ UNCAPTURED = {n: s for n, e in SENSOR_CAUSES.items() if (s := e.sensor.without_a
 COMMON = {n: e.sensor.common for n, e in SENSOR_CAUSES.items() if e.sensor.common}
 LINEAR_RANGE = {n: e.sensor.linear for n, e in SENSOR_CAUSES.items() if e.sensor.linear is not None}
 LINEARISED = 3
+RATES, FORCES = slice(0, 3), slice(3, 6)  # of the channels
 MARKERS_KNOWN = 1.5e-3  # m, how well the marker offset is measured: turned markers move the tracked point by less
 UNHIDDEN = ("accelerometer_scale.z",)  # what an attitude estimated on board does not hide
 TURNED_PAIR = frozenset({"imu_misalignment", "mocap_misalignment"})
@@ -62,6 +63,13 @@ def examine(flights: Sequence[Flown], options: Mapping[str, Any]) -> Level:
         except DataError as error:
             level.notes.append(f"{error}; it is left out of the comparison of sensors with capture")
     turning = bool(weak) and all(w.turning for w in weak)
+    if not turning:  # forces alone are compared then
+        level.notes += [
+            f"flight {w.key} has no accelerometer of its own; it is left out of the comparison of sensors with capture"
+            for w in weak if not w.feeling
+        ]  # fmt: skip
+        used = [f for f, w in zip(used, weak) if w.feeling]
+        weak = [w for w in weak if w.feeling]
     asked = [c for c in SENSOR_CAUSES if options.get("effects", "all") == "all" or c in options["effects"]]
     if not any(f.compared for f in used):
         why = "no compared flight has a motion capture of enough flying"
@@ -76,7 +84,10 @@ def examine(flights: Sequence[Flown], options: Mapping[str, Any]) -> Level:
         why = "the attitude is not captured in every flight (or 'use onboard attitude' is on)"
         level.cannot_be_asked += [{"id": c, "why": why} for c in asked if SENSOR_CAUSES[c].sensor.needs_attitude]
         asked = [c for c in asked if not SENSOR_CAUSES[c].sensor.needs_attitude]
-        weak = [w._replace(columns=_only_forces(w.columns), turning=False) for w in weak]
+        weak = [w._replace(columns=_only(w.columns, FORCES), turning=False) for w in weak]
+    if not all(w.feeling for w in weak):
+        asked = _ask_of_rates(weak, asked, level)
+        weak = [w._replace(columns=_only(w.columns, RATES), feeling=False) for w in weak]
     names = [n for n in weak[0].names if all(n in w.names for w in weak)]
     if "attitude_error" in asked and not any(n.startswith("attitude_error") for n in names):
         why = "not every flight has the flight controller's own attitude"
@@ -199,9 +210,23 @@ def _set_right(values: np.ndarray, names: Sequence[str]) -> dict[str, dict[str, 
     return check(parts)
 
 
-def _only_forces(columns: np.ndarray) -> np.ndarray:
-    kept = columns.copy()
-    kept[:, :3] = 0.0
+def _only(columns: np.ndarray, channels: slice) -> np.ndarray:
+    kept = np.zeros_like(columns)
+    kept[:, channels] = columns[:, channels]
+    return kept
+
+
+def _ask_of_rates(weak: Sequence[Weak], asked: Sequence[str], level: Level) -> list[str]:
+    """The causes that rates alone show; the others are entered as those that cannot be asked."""
+    kept = []
+    for cause in asked:
+        own = [w.columns[:, RATES, k] for w in weak for k, n in enumerate(w.names) if n.split(".")[0] == cause]
+        clocks = [w.columns[:, RATES, w.names.index("clock.offset")] for w in weak]
+        why = "not every flight has an accelerometer of its own, and rates do not show it"
+        if any(c.any() for c in own) and not all(np.array_equal(a, b) for a, b in zip(own, clocks)):
+            kept.append(cause)
+        else:
+            level.cannot_be_asked.append({"id": cause, "why": why})
     return kept
 
 

@@ -29,7 +29,7 @@ def tables(
     place = {n: i for i, n in enumerate(names)}
     nuisance = [i for i, n in enumerate(names) if i > 0 and n.split(".")[0] in usual]
     weight = np.diag([1.0 / usual[names[i].split(".")[0]] ** 2 for i in nuisance])
-    shown = [c for c in range(len(SENSED_CHANNELS)) if all(w.turning for w in weak) or c >= 3]
+    shown = [c for c in range(len(SENSED_CHANNELS)) if all(w.turning if c < 3 else w.feeling for w in weak)]
     residuals, parameters = [], []
     for flown, one, whitener, values in zip(flights, weak, whiteners, known):
         gram = added(blocks_of(one, whitener).sum(axis=0), values)
