@@ -110,9 +110,10 @@ def compiled(p: Mapping[str, Any]) -> Callable[[np.ndarray, np.ndarray], np.ndar
 
 
 def moved(p: dict[str, Any], shift: tuple[float, float, float]) -> None:
-    """Rotors as seen from a cg that has moved by `shift`, m."""
+    """Rotors and the place of the drag as seen from a cg that has moved by `shift`, m: the package's acts at any cg."""
     p["mixing_matrix"][0] -= shift[1] / p["L"]
     p["mixing_matrix"][1] += shift[0] / p["L"]
+    p["drag_place"] = -np.array(shift)
 
 
 def fly(
@@ -150,7 +151,8 @@ def fly(
         gone = (1.0 - fading * t) * (1.0 + lost) - 1.0
         further = np.array([0.0, 0.0, gone @ thrust]) - p["drag_matrix"] @ (turn.T @ blown)
         moment = np.append(p["L"] * p["mixing_matrix"][:2] @ (gone * thrust), 0.0)
-        moment[2] = -fading * t * p["mixing_matrix"][2] @ torque
+        moment = moment + np.cross(p.get("drag_place", np.zeros(3)), p["drag_matrix"] @ (turn.T @ (s[7:10] - blown)))
+        moment[2] += -fading * t * p["mixing_matrix"][2] @ torque
         if load is not None:
             own = load(s[:3], turn.T @ (s[7:10] - blown))
             further, moment = further + own[0], moment + own[1]

@@ -87,6 +87,10 @@ def examine(flights: Sequence[Flown], options: Mapping[str, Any]) -> Level:
         weak = [w._replace(columns=_only(w.columns, FORCES), turning=False) for w in weak]
     if not all(w.feeling for w in weak):
         asked = _ask_of_rates(weak, asked, level)
+        level.notes.append(
+            "not every flight has an accelerometer of its own: where forces are made of the capture, a late or turned "
+            "capture looks like a force"
+        )
         weak = [w._replace(columns=_only(w.columns, RATES), feeling=False) for w in weak]
     names = [n for n in weak[0].names if all(n in w.names for w in weak)]
     if "attitude_error" in asked and not any(n.startswith("attitude_error") for n in names):
