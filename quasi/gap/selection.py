@@ -34,15 +34,15 @@ class Rules(NamedTuple):
     form_error  share of a cause's Wald statistic that the error of its form may explain: 0 where columns are exact
     witness     {pair: cause}: of two causes with nearly the same signature the one is there without which this third
                 cause is needed; judge  tests for that, None for the level's own
-    overlap     (test, id of another cause) -> share of what the tested cause explains on the axes of the other one: an
-                error of its form can only be there
+    overlap     (test, another one) -> share of what the first cause explains that lies where the other one explains as
+                well: an error of its form can only be there
     excess      test -> mean square of what a change makes of an axis, as a multiple of all that the model leaves there
     """
 
     form_error: float = FORM_ERROR
     witness: Mapping[frozenset[str], str] = {}
     judge: MixedModel | None = None
-    overlap: Callable[[Test, str], float] = lambda _, __: 1.0
+    overlap: Callable[[Test, Test], float] = lambda _, __: 1.0
     excess: Callable[[Test], float] = lambda _: 0.0
 
     def is_excessive(self, test: Test) -> bool:
@@ -237,7 +237,7 @@ class Search:
         strongest = max(others, key=lambda c: c.wald, default=None)
         form_error = self.rules.form_error * strongest.wald if strongest is not None else 0.0
         small = t.offer.since == "changed" and t.wald < form_error
-        if small and t.wald < form_error * self.rules.overlap(strongest, t.offer.cause):
+        if small and t.wald < form_error * self.rules.overlap(strongest, t):
             return f"it explains so little that it may be the error of the form of {strongest.offer.cause}"
         if self.rules.is_excessive(t):
             return EXCESSIVE

@@ -66,7 +66,7 @@ def seek(
         lacking = (*study.lacking, *contradicted)
         profiles = {n: Profile.of(e, within.get(n)) for n, e in asked.items()}
         rules = FORCES._replace(
-            overlap=partial(share_on_axes, study, compared, asked), excess=partial(excess_of, study, compared)
+            overlap=partial(share_in_common, study, compared), excess=partial(excess_of, study, compared)
         )
         selection = select_causes(mixed, profiles, rate, rules, lacking)
         named, ties = selection.named, [(tie.tests[0].offer.since, tie) for tie in selection.ties]
@@ -100,15 +100,20 @@ def seek(
 def share_on_axes(
     study: Design, compared: Sequence[bool], asked: Mapping[str, Effect], test: Test, other: str
 ) -> float:
-    """Share of what a tested cause adds to the compared flights that lies on the axes of another cause.
-
-    The mean squares of each axis count in units of the residual's mean square there.
-    """
-    own = [study.columns.causes[test.offer.cause][k] for k in test.offer.which]
-    raw = sum(gram for gram, flag in zip(study.raw, compared) if flag)  # (6, P, P)
-    added = np.einsum("i,kij,j->k", test.value, raw[:, own][:, :, own], test.value)
-    parts = added / np.maximum(raw[:, 0, 0], 1e-300)
+    """Share of what a tested cause adds to the compared flights that lies on the axes of another cause."""
+    parts = _added(study, compared, test)
     return float(parts[seen_in(asked[other])].sum() / max(parts.sum(), 1e-300))
+
+
+def share_in_common(study: Design, compared: Sequence[bool], test: Test, other: Test) -> float:
+    """Share of what one tested cause adds to the compared flights that lies where another adds as well: over the axes,
+    the sum of the smaller of both shares. An axis on which the first adds little holds little of the error of its form.
+    """
+    shares = []
+    for one in (test, other):
+        parts = _added(study, compared, one)
+        shares.append(parts / max(parts.sum(), 1e-300))
+    return float(np.minimum(*shares).sum())
 
 
 def excess_of(study: Design, compared: Sequence[bool], test: Test) -> float:
@@ -117,10 +122,15 @@ def excess_of(study: Design, compared: Sequence[bool], test: Test) -> float:
     """
     if test.offer.since != "changed":
         return 0.0
+    return float(_added(study, compared, test).max())
+
+
+def _added(study: Design, compared: Sequence[bool], test: Test) -> np.ndarray:
+    """Mean square (6,) of what a tested cause adds to the compared flights, in units of the residual's."""
     own = [study.columns.causes[test.offer.cause][k] for k in test.offer.which]
     raw = sum(gram for gram, flag in zip(study.raw, compared) if flag)  # (6, P, P)
     added = np.einsum("i,kij,j->k", test.value, raw[:, own][:, :, own], test.value)
-    return float((added / np.maximum(raw[:, 0, 0], 1e-300)).max())
+    return added / np.maximum(raw[:, 0, 0], 1e-300)
 
 
 def _as_found(tie: Tie, since: str, asked: Mapping[str, Effect]) -> tuple[Effect, str, Deviations]:
