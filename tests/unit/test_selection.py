@@ -9,7 +9,7 @@ import pytest
 from test_gap_mixed import LAYOUT, flights, stretched
 
 from quasi.gap.effect import Effect, Limits, Parameter
-from quasi.gap.levels.forces.search import excess_of
+from quasi.gap.levels.forces.search import excess_of, share_in_common
 from quasi.gap.profile import Profile
 from quasi.gap.selection import FORM_ERROR, Named, Search
 from quasi.gap.statistics import mixed as tests_on
@@ -322,3 +322,23 @@ def test_several_parameters_of_one_cause_give_way_to_one_of_another_that_explain
     else:
         assert [n.test.offer.cause for n in named] == ["c", "c"]
         assert ties == []
+
+
+@pytest.mark.parametrize(
+    ("first", "second", "common"),
+    [((0.5, 0.45, 0.05), (0.0, 0.0, 1.0), 0.05),  # wind and a weight: little of it is vertical
+     ((0.5, 0.45, 0.05), (0.6, 0.3, 0.1), 0.85), ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), 0.0),
+     ((0.2, 0.3, 0.5), (0.2, 0.3, 0.5), 1.0)],
+)  # fmt: skip
+def test_causes_share_what_lies_on_the_same_axes(first, second, common):
+    """Shares of power in units of each axis' error, which is 2 here."""
+    raw = np.zeros((6, 3, 3))
+    raw[:, 0, 0] = 2.0
+    raw[:3, 1, 1], raw[:3, 2, 2] = first, second
+    study = SimpleNamespace(columns=SimpleNamespace(causes={"a": [1], "b": [2]}), raw=[100.0 * raw, raw])
+    one, other = (
+        Test(Candidate(n, "changed", (0,)), np.array([v]), np.eye(1), 1.0, 1.0, 1.0)
+        for n, v in (("a", 3.0), ("b", 0.1))
+    )
+    assert share_in_common(study, [False, True], one, other) == pytest.approx(common)
+    assert share_in_common(study, [False, True], other, one) == pytest.approx(common)
