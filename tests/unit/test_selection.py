@@ -337,7 +337,7 @@ def test_causes_share_what_lies_on_the_same_axes(first, second, common):
     raw[:3, 1, 1], raw[:3, 2, 2] = first, second
     study = SimpleNamespace(columns=SimpleNamespace(causes={"a": [1], "b": [2]}), raw=[100.0 * raw, raw])
     one, other = (
-        Test(Candidate(n, "changed", (0,)), np.array([v]), np.eye(1), 1.0, 1.0, 1.0)
+        tests_on.Test(Candidate(n, "changed", (0,)), np.array([v]), np.eye(1), 1.0, 1.0, 1.0)
         for n, v in (("a", 3.0), ("b", 0.1))
     )
     assert share_in_common(study, [False, True], one, other) == pytest.approx(common)
