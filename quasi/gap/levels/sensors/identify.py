@@ -33,7 +33,7 @@ UNCAPTURED = {n: s for n, e in SENSOR_CAUSES.items() if (s := e.sensor.without_a
 COMMON = {n: e.sensor.common for n, e in SENSOR_CAUSES.items() if e.sensor.common}
 LINEAR_RANGE = {n: e.sensor.linear for n, e in SENSOR_CAUSES.items() if e.sensor.linear is not None}
 LINEARISED = 3
-RATES, FORCES = slice(0, 3), slice(3, 6)  # of the channels
+GYRO_CHANNELS, FORCE_CHANNELS = slice(0, 3), slice(3, 6)  # of the channels
 MARKERS_KNOWN = 1.5e-3  # m, how well the marker offset is measured: turned markers move the tracked point by less
 UNHIDDEN = ("accelerometer_scale.z",)  # what an attitude estimated on board does not hide
 TURNED_PAIR = frozenset({"imu_misalignment", "mocap_misalignment"})
@@ -84,14 +84,14 @@ def examine(flights: Sequence[Flown], options: Mapping[str, Any]) -> Level:
         why = "the attitude is not captured in every flight (or 'use onboard attitude' is on)"
         level.cannot_be_asked += [{"id": c, "why": why} for c in asked if SENSOR_CAUSES[c].sensor.needs_attitude]
         asked = [c for c in asked if not SENSOR_CAUSES[c].sensor.needs_attitude]
-        weak = [w._replace(columns=_only(w.columns, FORCES), turning=False) for w in weak]
+        weak = [w._replace(columns=_only(w.columns, FORCE_CHANNELS), turning=False) for w in weak]
     if not all(w.feeling for w in weak):
         asked = _ask_of_rates(weak, asked, level)
         level.notes.append(
             "not every flight has an accelerometer of its own: where forces are made of the capture, a late or turned "
             "capture looks like a force"
         )
-        weak = [w._replace(columns=_only(w.columns, RATES), feeling=False) for w in weak]
+        weak = [w._replace(columns=_only(w.columns, GYRO_CHANNELS), feeling=False) for w in weak]
     names = [n for n in weak[0].names if all(n in w.names for w in weak)]
     if "attitude_error" in asked and not any(n.startswith("attitude_error") for n in names):
         why = "not every flight has the flight controller's own attitude"
@@ -224,8 +224,8 @@ def _ask_of_rates(weak: Sequence[Weak], asked: Sequence[str], level: Level) -> l
     """The causes that rates alone show; the others are entered as those that cannot be asked."""
     kept = []
     for cause in asked:
-        own = [w.columns[:, RATES, k] for w in weak for k, n in enumerate(w.names) if n.split(".")[0] == cause]
-        clocks = [w.columns[:, RATES, w.names.index("clock.offset")] for w in weak]
+        own = [w.columns[:, GYRO_CHANNELS, k] for w in weak for k, n in enumerate(w.names) if n.split(".")[0] == cause]
+        clocks = [w.columns[:, GYRO_CHANNELS, w.names.index("clock.offset")] for w in weak]
         why = "not every flight has an accelerometer of its own, and rates do not show it"
         if any(c.any() for c in own) and not all(np.array_equal(a, b) for a, b in zip(own, clocks)):
             kept.append(cause)
