@@ -1,4 +1,4 @@
-"""How often a cause has to come again in resamples before it is named."""
+"""How often a cause has to come again in resamples before it is named, and the one figure of what it gains."""
 
 from types import SimpleNamespace
 
@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from quasi.gap.effect import Effect
-from quasi.gap.entries import ALONE, STRONGEST, WEAKER, needed, of_late_telemetry
+from quasi.gap.entries import ALONE, STRONGEST, WEAKER, gain_entry, needed, of_late_telemetry
 from quasi.gap.materiality import Cause
 from quasi.gap.statistics import mixed
 
@@ -72,3 +72,12 @@ def test_a_delay_that_the_model_has_from_late_telemetry_is_no_cause_of_its_own()
 def test_other_delays_stay_causes(others):
     effects = [delay("telemetry_delay", 0.018), *others]
     assert of_late_telemetry(effects) == (effects, [])
+
+
+def test_the_one_figure_of_a_cause_is_of_the_channel_where_it_removes_most_of_the_whole_error():
+    wind = SimpleNamespace(effect=SimpleNamespace(channels=("Fx", "Fz")))
+    gains = {"Fx": {"value": 0.994, "removable": 0.999}, "Fz": {"value": 0.9995, "removable": 0.992},
+             "My": {"value": 1.0, "removable": 1.0}}  # fmt: skip
+    entry = gain_entry(wind, gains)
+    assert entry["gain channel"] == "Fx" and entry["gain"]["wrench"] == 0.994
+    assert gain_entry(wind, {"Fx": {"value": None, "removable": 0.0}})["gain channel"] is None
