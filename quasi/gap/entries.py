@@ -88,7 +88,7 @@ def gain_entry(cause: Cause, gains: Mapping[str, Mapping[str, float | None]]) ->
     """What a cause removes of forces and moments, and the one figure: that of its channel where it removes the largest
     share of the whole error. Of what can be removed, two causes that both act there may each remove all."""
     seen = [a for a in cause.effect.channels or gains if a in gains and gains[a]["value"] is not None]
-    best = max(seen, key=lambda a: gains[a]["value"] * gains[a]["removable"], default=None)
+    best = max(seen, key=lambda a: gains[a]["value"] * gains[a].get("removable", 1.0), default=None)
     share = min(gains[best]["value"], 1.0) if best else None
     return {"gain": {"wrench": share, "rollout": None}, "gain channel": best, "gains": gains}
 

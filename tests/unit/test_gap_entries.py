@@ -80,4 +80,6 @@ def test_the_one_figure_of_a_cause_is_of_the_channel_where_it_removes_most_of_th
              "My": {"value": 1.0, "removable": 1.0}}  # fmt: skip
     entry = gain_entry(wind, gains)
     assert entry["gain channel"] == "Fx" and entry["gain"]["wrench"] == 0.994
+    forces_alone = {axis: {"value": gain["value"]} for axis, gain in gains.items()}  # before roll-outs were scored
+    assert gain_entry(wind, forces_alone)["gain channel"] == "Fz"
     assert gain_entry(wind, {"Fx": {"value": None, "removable": 0.0}})["gain channel"] is None
