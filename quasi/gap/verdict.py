@@ -291,15 +291,16 @@ def _outdone(
 def _next_to_unknown(case: Case, settled: Settled, found: Found, left: unexplained.Left) -> Settled:
     """Without changes that roll-outs do not confirm and that make next to nothing of what no cause explains on their
     axes: of an error of unknown form, a part may look like anything."""
+    doubtful = [c for c in settled.causes if c.since == "changed"]
+    doubtful = [c for c in doubtful if settled.confirmations[c.effect.id, c.since].outcome != CONFIRMED]
+    if not doubtful:
+        return settled
     unknown = np.zeros(len(AXES))
     for entry in left.entries or errors_beyond_references(case, settled, found):
         if entry["since"] == "changed":
             k = AXES.index(entry["channel"])
             unknown[k] = max(unknown[k], entry["size"] ** 2)
-    for cause in settled.causes:
-        outcome = settled.confirmations[cause.effect.id, cause.since].outcome
-        if cause.since != "changed" or outcome == CONFIRMED or not unknown.any():
-            continue
+    for cause in doubtful:
         if drowned(*_power(cause, case), unknown):
             settled = _without(settled, cause, DROWNED)
     return settled

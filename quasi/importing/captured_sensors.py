@@ -12,7 +12,7 @@ import numpy as np
 from quasi.attitude import GRAVITY, body_rates, continuous, rotate_inverse, to_euler
 from quasi.errors import DataError
 from quasi.importing.clocks.synchronisation import Motion, synchronise
-from quasi.importing.derivatives import derivative_error, made_of
+from quasi.importing.derivatives import derivative_error, origin_of
 from quasi.importing.resampling import grid, low_pass, resample_attitude, velocity
 from quasi.importing.series import Series, Track
 
@@ -84,7 +84,7 @@ def force_and_rates(captured: Captured, t: np.ndarray, bandwidth: float) -> dict
     return {
         "accelerometer": (
             Track(at[known], force[known]),
-            made_of("the captured position and attitude", bandwidth, rate, error, "m/s2"),
+            origin_of("the captured position and attitude", bandwidth, rate, error, "m/s2"),
         ),
-        "gyro": (Track(at[known], rates[known]), made_of("the captured attitude", bandwidth, rate, turning, "rad/s")),
+        "gyro": (Track(at[known], rates[known]), origin_of("the captured attitude", bandwidth, rate, turning, "rad/s")),
     }

@@ -32,7 +32,9 @@ def derivative_error(signal: Track, rate: float, bandwidth: float, order: int) -
     return float(np.sqrt(power))
 
 
-def made_of(source: str, bandwidth: float, rate: float, error: float, unit: str, covers: str = NOISE) -> dict[str, Any]:
+def origin_of(
+    source: str, bandwidth: float, rate: float, error: float, unit: str, covers: str = NOISE
+) -> dict[str, Any]:
     """How a signal was made: source, bandwidth (Hz, of samples at `rate` Hz), standard error, and what that covers."""
     return {
         "from": source,

@@ -22,7 +22,7 @@ import numpy as np
 from quasi.attitude import GRAVITY, body_rates, continuous, from_euler, interpolate, rotate_inverse, to_euler
 from quasi.errors import DataError, add_caution
 from quasi.importing.captured_sensors import Captured, force_and_rates
-from quasi.importing.derivatives import NOISE, ONE_SIGMA, derivative_error, made_of, typical_size
+from quasi.importing.derivatives import NOISE, ONE_SIGMA, derivative_error, origin_of, typical_size
 from quasi.importing.resampling import low_pass, velocity
 from quasi.importing.series import Series, Track
 
@@ -120,13 +120,14 @@ def _sentence(name: str, entry: Mapping[str, Any]) -> str:
     what = {"accelerometer": "specific force", "gyro": "body rates"}.get(name, "")
     if name == "attitude":
         what = " and ".join(entry["angles"])
+    made = "they were made" if name == "gyro" or " and " in what else "it was made"
     factor, unit = {
         "accelerometer": (1.0, "m/s2"),
         "gyro": (np.degrees(1.0), "deg/s"),
         "attitude": (np.degrees(1.0), "deg"),
     }[name]
     return (
-        f"the log holds no {what}; it was made from {entry['from']}, up to {entry['bandwidth']['value']:.3g} Hz, with "
+        f"the log holds no {what}; {made} from {entry['from']}, up to {entry['bandwidth']['value']:.3g} Hz, with "
         f"a standard error of {factor * entry['std']['value']:.2g} {unit} (by {entry['covers']})"
     )
 
@@ -187,7 +188,7 @@ def _acceleration(series: Mapping[str, Series], bandwidth: float) -> tuple[Track
         first, _ = velocity(place.t, place.values, place.t, bandwidth)
         values, _ = velocity(place.t, first, place.t, bandwidth)
         error = derivative_error(place, rate, bandwidth, 2)
-    return Track(at.t, values), made_of(source, bandwidth, rate, error, "m/s2", covers)
+    return Track(at.t, values), origin_of(source, bandwidth, rate, error, "m/s2", covers)
 
 
 def _disagreement(speed: Track, place: Track, bandwidth: float) -> float:
@@ -238,7 +239,7 @@ def _attitude(
     quaternion = continuous(from_euler(*(angles.get(n, found[n]) for n in EULER_ANGLES)))
     covers = check["against"] if check else "the error of the acceleration"
     source = f"yaw and {about['from']}, with the thrust along body z"
-    entry = made_of(source, bandwidth, _rate(t), error, "rad", covers)
+    entry = origin_of(source, bandwidth, _rate(t), error, "rad", covers)
     return Track(t, quaternion), entry | {"angles": missing, "check": check}
 
 
@@ -264,7 +265,7 @@ def _rates(attitude: Track, bandwidth: float, about: Mapping[str, Any] | None) -
         white = 2.0 * np.pi * bandwidth / np.sqrt(3.0) * about["std"]["value"]
         error = float(np.hypot(error, about["check"]["rate"] if about["check"] else white))
     covers = NOISE if about is None or not about["check"] else about["check"]["against"]
-    return Track(attitude.t, smooth), made_of("the attitude", bandwidth, rate, error, "rad/s", covers)
+    return Track(attitude.t, smooth), origin_of("the attitude", bandwidth, rate, error, "rad/s", covers)
 
 
 def _rate(t: np.ndarray) -> float:

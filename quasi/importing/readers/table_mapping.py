@@ -159,7 +159,8 @@ def read_mapping(section: Any, poles: int | None, where: str, log_has_clock: boo
     if not turning and not ({("qw", True), ("x", True)} <= set(seen) and len(sources) > 1):
         raise ConfigError(
             f"{where}: no source maps body rates (p, q, r) or an attitude (qw, qx, qy, qz or roll, pitch, yaw), and no "
-            "motion capture maps position and attitude; map one of them, nothing can be identified without"
+            "motion capture of this table maps position and attitude; map one of them: nothing else ties a capture in "
+            "another file to the log"
         )
     return TableMapping(clock, sources)
 
