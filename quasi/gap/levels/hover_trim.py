@@ -43,6 +43,9 @@ PRIOR_HEALTHY = 0.4
 PRIOR_SHARES = {"rotor": 1.0, "mass": 1.0, "cg": 1.0, "weight": 1.0, "yaw": 0.25, "unexplained": 0.25}
 NAMED = 0.9  # probability from which a cause has a name: of such names one in ten may be wrong
 MAX_TIED = 3  # hypotheses in a tie
+# Times that what has a name is more probable than a change that fits none: "positive" evidence (Kass & Raftery, Bayes
+# factors, JASA 90, 1995)
+OVER_UNEXPLAINED = 3.0
 
 
 class Flight(NamedTuple):
@@ -204,7 +207,7 @@ def conclude(comparison: Comparison) -> tuple[str, list[str]]:
 
     "named" one hypothesis has the probability NAMED, a change that fits none left aside; "tied" up to MAX_TIED have it
     together; "changed" something did, without a name; "healthy" nothing did; "open" neither is sure.
-    Where a change that fits no hypothesis is more probable than those that have a name, none is named.
+    What has a name is OVER_UNEXPLAINED times as probable as a change that fits none: vehicles differ in all rotors.
     """
     probability = dict(comparison.probability)
     unexplained = probability.pop("unexplained", 0.0)
@@ -213,7 +216,7 @@ def conclude(comparison: Comparison) -> tuple[str, list[str]]:
     together = 0.0
     for count, name in enumerate(ranked[:MAX_TIED], 1):
         together += probability[name]
-        if together >= NAMED * total and together > unexplained:
+        if together >= NAMED * total and together >= OVER_UNEXPLAINED * unexplained:
             return ("named" if count == 1 else "tied"), ranked[:count]
     healthy = probability.get("healthy", 0.0)
     if healthy <= 1.0 - NAMED:

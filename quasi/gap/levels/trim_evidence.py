@@ -113,8 +113,7 @@ def _text(word: str, names: Sequence[str], found: Comparison, parameters: Mappin
         return f"{first} The trim names no cause."
     if word == "changed":
         return f"{first} That is a change, but it fits none of the causes that a trim can show."
-    total = sum(p for n, p in found.probability.items() if n != "unexplained")
-    share = sum(found.probability[n] for n in names) / total
+    share = sum(found.probability[n] for n in names)
     answer = " or ".join(_words(n, parameters[n]) for n in names)
     return f"{first} The trim shows {answer}, with the probability {share:.2f}."
 
