@@ -270,11 +270,12 @@ class LinearErrors(NamedTuple):
 class Gain(NamedTuple):
     """Per channel (C,), as shares of the removable error: what a cause removes, and what it could remove at most.
 
-    NaN where the floor holds nearly all of the error.
+    NaN where the floor holds nearly all of the error. squares (C,)  what it removes of the mean squared error
     """
 
     removed: np.ndarray
     most: np.ndarray
+    squares: np.ndarray
 
 
 def gains_of(flights: Sequence[LinearErrors], sizes: Mapping[str, np.ndarray]) -> dict[str, Gain]:
@@ -295,7 +296,8 @@ def gains_of(flights: Sequence[LinearErrors], sizes: Mapping[str, np.ndarray]) -
         most = mean(own)
         removable = np.maximum(above, most)
         removable = np.where(removable > (1.0 - HOLDS) * before, removable, np.nan)
-        found[cause] = Gain((mean([a + m for a, m in zip(after, own)]) - left) / removable, most / removable)
+        squares = mean([a + m for a, m in zip(after, own)]) - left
+        found[cause] = Gain(squares / removable, most / removable, squares)
     return found
 
 

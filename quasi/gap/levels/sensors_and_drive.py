@@ -108,7 +108,8 @@ def reject_immaterial(
 
     levels  {"sensors", "drive": lists "effects", "ties", "candidates", "notes", and "found on"}, see `plain`
     first, last  held-out flights before and after the calibration; share  least share of some channel's removable error
-    What is judged carries "removed": {channel: share}.
+    What is judged carries "removed": {channel: share}. The share counts where the error of all channels of the same
+    unit falls: a value that makes rates worse is not confirmed by one axis of them.
     """
     for name, level in levels.items():
         entries = [*level["effects"], *level["ties"]]
@@ -130,16 +131,19 @@ def reject_immaterial(
             acts = [k for k, c in enumerate(about["channels"]) if name == "drive" or _acts(cause, c)]
             removed, most = found[cause].removed[acts], found[cause].most[acts]
             entry["removed"] = {about["channels"][k]: float(v) for k, v in zip(acts, removed) if np.isfinite(v)}
+            units = np.array([_unit_of(about["channels"][k]) for k in acts])
+            grows = [found[cause].squares[acts][units == u].sum() < 0.0 for u in units]
+            confirmed = np.where(grows, np.minimum(removed, 0.0), removed)
             if not np.isfinite(removed).any():
                 level["notes"].append(
                     f"whether {_words(entry)} matters is unknown on held-out flights: noise hides what it does"
                 )
-            elif np.nanmax(removed) < share and np.nanmax(most) < share <= about["worth"].get(cause, 0.0):
+            elif np.nanmax(confirmed) < share and np.nanmax(most) < share <= about["worth"].get(cause, 0.0):
                 level["notes"].append(
                     f"held-out flights hardly excite {_words(entry)}; what it removes of their error is unknown"
                 )
-            elif np.nanmax(removed) < share:
-                _reject(level, entry, name, max(np.nanmax(removed), 0.0), share)
+            elif np.nanmax(confirmed) < share:
+                _reject(level, entry, name, max(np.nanmax(confirmed), 0.0), share)
 
 
 def _reject(level: Mapping[str, list[Any]], entry: Mapping[str, Any], name: str, removed: float, share: float) -> None:
@@ -162,6 +166,11 @@ def _acts(cause: str, channel: str) -> bool:
     """Whether a cause of sensors acts on body rates (p, q, r) or on the specific force (channels in earth axes)."""
     shows = drive_level.CATALOGUE[cause].channels
     return "clock" in shows or bool(set(shows) & set("pqr") if channel in "pqr" else set(shows) - set("pqr"))
+
+
+def _unit_of(channel: str) -> str:
+    """What channels have in common whose squares can be added: rates, specific forces or rotor speeds."""
+    return "rates" if channel in "pqr" else "speeds" if channel in ROTORS else "forces"
 
 
 def _words(entry: Mapping[str, Any]) -> str:
