@@ -39,7 +39,7 @@ from quasi.gap.levels.rollouts import commanded, error_reduction, split_flights
 from quasi.gap.levels.rollouts.confirmation import Settled
 from quasi.gap.levels.rollouts.open_loop import HORIZON, MOVED_BY
 from quasi.gap.levels.sensors_and_drive import rate_of, reject_immaterial
-from quasi.gap.levels.trim_evidence import gather_trim, trim_entries, why_rotor_is_enough
+from quasi.gap.levels.trim_evidence import gather_trim, trim_entries, unnamed_change, why_rotor_is_enough
 from quasi.gap.losses import correction_matters, drive_losses, losses
 from quasi.gap.materiality import Cause
 from quasi.gap.probability import add_probabilities
@@ -198,13 +198,14 @@ def diagnose(
     named_by_trim, tied_by_trim = trim_entries(trim, taken, bool(unable), acting_on)
     lower_effects += named_by_trim
     ties += tied_by_trim
+    trimmed = unnamed_change(trim, [*taken, *(e["id"] for e in named_by_trim)])
     lost_by = [*settled.losses, *drive_losses(gap)]
     result = {
         "schema": SCHEMA,
         "gap": gap,
         "model": settings["model"],
         "verdict": verdict_of(
-            [*lower_effects, *named], ties, lists["unexplained"], unable, bool(base.excluded or lost_by)
+            [*lower_effects, *named], ties, [*lists["unexplained"], *trimmed], unable, bool(base.excluded or lost_by)
         ),
         "summary": "",
         "base model": {
@@ -221,7 +222,12 @@ def diagnose(
             key=lambda e: (e["id"] != rotor_order.ID, -float(e["evidence"].get("wald") or 0.0)),
         ),
         "ties": ties,
-        "findings": [*(f for level in ("sensors", "drive") for f in levels[level]["findings"]), *shifted, *restless],
+        "findings": [
+            *trimmed,
+            *(f for level in ("sensors", "drive") for f in levels[level]["findings"]),
+            *shifted,
+            *restless,
+        ],
         **lists,
         "extended_model": settings["extended model ID"],
         "flights": dict(roles),

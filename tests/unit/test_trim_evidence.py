@@ -8,12 +8,14 @@ import pytest
 from gap_documents import KNOWN, document
 
 from quasi.attitude import GRAVITY
+from quasi.gap.diagnosis import verdict_of
 from quasi.gap.effect import Vehicle
 from quasi.gap.levels.trim_evidence import (
     expected_change,
     gather_trim,
     rejected_by_trim,
     trim_entries,
+    unnamed_change,
     why_rotor_is_enough,
 )
 from quasi.gap.report.next_steps import steps
@@ -95,6 +97,17 @@ def commanded(thrust):
     }
     tables = {k: t.rename(columns={f"w{i}": f"command{i}" for i in range(1, 5)}) for k, t in tables.items()}
     return gather_trim(tables, ROLES_OF, SESSIONS, vehicle())
+
+
+def test_a_change_that_fits_no_cause_is_a_finding_and_no_agreement_where_forces_do_not_hold_it():
+    found = evidence((0.74, 1.11, 0.9, 1.12))  # two vehicles of one kind, NanoBench
+    assert (found.document["word"], trim_entries(found)) == ("changed", ([], []))
+    assert unnamed_change(found, []) == []  # of measured speeds: forces and moments hold it
+    found.document["source"] = "commands"
+    (finding,) = unnamed_change(found, ["gyro_bias"])
+    assert "-27, +11, -10, +13 % more thrust" in finding["text"] and "other motors" in finding["text"]
+    assert unnamed_change(found, ["rotor_effectiveness"]) == [] and verdict_of([], [], [finding]) == "unexplained"
+    assert finding["text"] in summary(document() | {"findings": [finding], "verdict": "unexplained"}, KNOWN)
 
 
 def test_more_command_for_the_same_thrust_may_be_the_battery():

@@ -29,6 +29,7 @@ HYPOTHESES = {"mass": "another mass", "cg": "a moved centre of gravity", "weight
          "yaw": "another balance about yaw (a tilted rotor)"}  # fmt: skip
 TRIM_CHANNELS = {"rotor_effectiveness": ["Fz", "Mx", "My"], "mass": ["Fz"], "thrust_factor": ["Fz"],
             "cg_offset": ["Mx", "My"], "rotor_tilt": ["Mz"]}  # fmt: skip
+TRIM = "trim"  # id of the finding
 OF_TOTAL_THRUST = (*OF_THE_SAME_THRUST, SAG)  # of all rotors alike
 
 
@@ -203,6 +204,21 @@ def rejected_by_trim(
                 f"flight, where the flights show {100 * np.expm1(found.change[i]):+.0f} % (log likelihood {gain:.1f})"
             )
     return result
+
+
+def unnamed_change(evidence: TrimEvidence, taken: Collection[str]) -> list[dict[str, Any]]:
+    """A finding where the trim changed, no cause that a trim shows fits it, and none is there.
+
+    Of flights with commands in place of measured speeds alone: their estimated speeds are balanced flight by flight, so
+    that forces and moments do not hold the change. taken  ids of the causes that have a name or stand in a tie
+    """
+    document = evidence.document
+    if document["word"] != "changed" or document["source"] != "commands":
+        return []
+    if set(taken) & {*TRIM_CHANNELS, *OF_TOTAL_THRUST}:
+        return []
+    text = f"{document['text']} It may be another vehicle, other motors or propellers, or several causes at once"
+    return [{"id": TRIM, "text": text, "evidence": {"change": document["change"]}}]
 
 
 def trim_entries(

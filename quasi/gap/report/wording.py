@@ -414,7 +414,7 @@ def summed_up(diagnosis: Mapping[str, Any], known: Mapping[str, Effect]) -> list
             for e in effects
         ]
     named = {e["id"] for e in effects}
-    texts += [_sentence(f["text"]) for f in diagnosis.get("findings", ()) if f["id"] in named]
+    texts += [_sentence(f["text"]) for f in diagnosis.get("findings", ()) if f["id"] in {*named, "trim"}]
     texts += [tie_sentence(t) for t in diagnosis["ties"]]
     texts += [left_sentence(u) for u in diagnosis["unexplained"][:3]]
     if len(diagnosis["unexplained"]) > 3:
