@@ -134,9 +134,12 @@ def least_noise(raw: np.ndarray, rates: np.ndarray, other: np.ndarray, good: np.
     """The mean (n, 3) of two measurements, weighted by the noise of each: its noise is not that of their difference.
 
     raw  gyro (n, 3), rad/s, at `rate` Hz; rates  its windowed averages; other  the captured ones; good (n,) usable rows
-    With weights in inverse proportion to the variances, cov(mean, difference) = 0. The gyro's variance is that of white
-    noise whose density is the median above the motion, where vibration is a few lines; the rest of the difference's
-    variance is the capture's.
+    With weights in inverse proportion to the variances, cov(mean, difference) = 0. The gyro's variance is at least that
+    of white noise whose density is the median above the motion, where vibration is a few lines. Vibration that a slow
+    log folds into the motion, or that resampling took from above it, adds to that. A scale of 1 is then compatible with
+    any weight of the capture from there to 1, and the one is taken that leaves least to a scale: the true one lies
+    between the regressions on either measurement (Frisch, Statistical Confluence Analysis, 1934; Klepper & Leamer,
+    Econometrica 52, 1984).
     """
     if np.count_nonzero(good) < FEWEST_KEPT:
         return rates
@@ -145,8 +148,11 @@ def least_noise(raw: np.ndarray, rates: np.ndarray, other: np.ndarray, good: np.
     if not quiet.any():
         return rates
     own = np.median(density[quiet], axis=0) / (4.0 * np.sqrt(np.pi) * SIGMA)  # one-sided density through the window
-    both = (rates - other)[good].var(axis=0)
-    share = np.clip(own / np.maximum(both, 1e-300), 0.0, 1.0)
+    apart = (rates - other)[good]
+    both = np.maximum(apart.var(axis=0), 1e-300)
+    least = np.clip(own / both, 0.0, 1.0)
+    with_rates = np.mean((rates[good] - rates[good].mean(axis=0)) * (apart - apart.mean(axis=0)), axis=0)
+    share = np.clip(with_rates / both, least, 1.0)
     return (1.0 - share) * rates + share * other
 
 
