@@ -10,7 +10,7 @@ no physics of ours is involved. What is planted in rotors is planted in their co
 for the same thrust is a weak one. Each plant is a gap of the workflow in FOLDER; what is made stays.
 
 Right is what holds a planted cause, by name or in a tie. Wrong is a name that neither the plant nor the flights without
-a plant have. Import and filter settle stamps and constant biases: there nothing may be named.
+a plant have. Import settles late stamps and a turned room: there nothing may be named.
 """
 
 import argparse
@@ -43,7 +43,7 @@ Change = Callable[[Table], None]
 
 
 class Plant(NamedTuple):
-    """One fault: right, ids of which one must be named or stand in a tie; empty where import or filter settles it.
+    """One fault: right, ids of which one must be named or stand in a tie; empty where import settles it.
 
     values  {parameter: value to be stated}; change of the table; configure of the quadrotor; mass in the logbook, kg
     """
@@ -158,8 +158,8 @@ PLANTS: dict[str, Plant] = {
     "accelerometer z x 1.04": Plant(("accelerometer_scale",), {"z": 1.04}, scaled(FORCE, 1.0, 1.0, 1.04)),
     "gyro x 1.05": Plant(("gyro_scale",), dict.fromkeys("xyz", 1.05), scaled(GYRO, *[1.05] * 3)),
     "gyro z x 0.9": Plant(("gyro_scale",), {"z": 0.9}, scaled(GYRO, 1.0, 1.0, 0.9)),
-    "gyro x + 0.1": Plant((), {}, raised(GYRO[0], 0.1)),
-    "accelerometer y + 0.05 g": Plant((), {}, raised(FORCE[1], 0.05)),
+    "gyro x + 0.1": Plant(("gyro_bias",), {}, raised(GYRO[0], 0.1)),
+    "accelerometer y + 0.05 g": Plant(("accelerometer_bias",), {}, raised(FORCE[1], 0.05)),
     "imu turned by 3 deg, x": Plant(BODY, {}, turned_imu(3.0, 0.0, 0.0)),
     "imu turned by 5 deg, z": Plant(BODY, {}, turned_imu(0.0, 0.0, 5.0)),
     "rigid body turned by 4 deg, y": Plant(BODY, {}, turned_body(0.0, 4.0, 0.0)),

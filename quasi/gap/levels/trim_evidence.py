@@ -209,8 +209,8 @@ def rejected_by_trim(
 def unnamed_change(evidence: TrimEvidence, taken: Collection[str]) -> list[dict[str, Any]]:
     """A finding where the trim changed, no cause that a trim shows fits it, and none is there.
 
-    Of flights with commands in place of measured speeds alone, as `trim_entries`: a constant force or moment of a flight
-    counts as its own trim elsewhere. taken  ids of the causes that have a name or stand in a tie
+    Of flights with commands in place of measured speeds alone, as `trim_entries`: elsewhere a constant force or moment
+    of a flight counts as its own trim. taken  ids of the causes that have a name or stand in a tie
     """
     document = evidence.document
     if document["word"] != "changed" or document["source"] != "commands":

@@ -42,6 +42,7 @@ LAGGED = 1.0  # s, time constant with which an on-board attitude is taken to lea
 SENSED_CHANNELS = ("p", "q", "r", "north", "east", "down")
 XYZ, EULER_ANGLES = ("x", "y", "z"), ("roll", "pitch", "yaw")
 FEWEST_KEPT = 60  # rows
+SLOPE = "slope_"  # columns of nuisances, see `identify`
 
 
 class Weak(NamedTuple):
@@ -267,7 +268,10 @@ def weak_form(flown: Flown) -> Weak:
         add(f"gyro_bias.{axis}", unit[i], nothing)
         add(f"gyro_scale.{axis}", rates_free * unit[i], nothing)
         add(f"accelerometer_bias.{axis}", nothing, axes[:, :, i])
-        add(f"accelerometer_scale.{axis}", nothing, _average(turn[:, :, i] * f_free[:, i : i + 1], window))
+        felt = _average(turn[:, :, i] * f_free[:, i : i + 1], window)
+        add(f"accelerometer_scale.{axis}", nothing, felt)
+        usual = f_free[good, i].mean() if good.any() else 0.0
+        add(f"{SLOPE}{axis}.slope", nothing, felt - usual * axes[:, :, i])  # all of a scale but its mean, a bias
         add(f"imu_lever_arm.{axis}", nothing, swing[:, :, i])
     arm = np.asarray(flown.airframe.marker_offset, float)
     for i, axis in enumerate(EULER_ANGLES):

@@ -6,6 +6,7 @@ added to the residual again: it is evidence for the same causes.
 """
 
 from collections.abc import Callable, Collection, Mapping, Sequence
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -17,7 +18,7 @@ from quasi.gap.flights.level import PRIOR_FREEDOM, Flown, Level, SensorMixedMode
 from quasi.gap.levels.selected import report_selection
 from quasi.gap.levels.sensors.columns import Weak, corrected_already, straightened, weak_form
 from quasi.gap.levels.sensors.findings import shaken, torn
-from quasi.gap.levels.sensors.products import added, alone, blocks_of, whitener_of
+from quasi.gap.levels.sensors.products import added, alone, blocks_of, spread_of_slopes, whitener_of
 from quasi.gap.levels.sensors.tables import tables
 from quasi.gap.profile import Profile
 from quasi.gap.selection import Rules, Selection, select_causes
@@ -146,8 +147,10 @@ def _search(
     usual = NORMAL_SPREAD if turning else NORMAL_SPREAD | UNCAPTURED
     profiles = {n: _profile(SENSOR_CAUSES[n]) for n in asked}
 
-    def build(grams: list[np.ndarray], lever: float = NORMAL_SPREAD["imu_lever_arm"]) -> SensorMixedModel:
-        return _mixed(grams, compared, names, asked, {**usual, "imu_lever_arm": lever}, turning, sessions)
+    def build(
+        grams: list[np.ndarray], slopes: Mapping[str, float], lever: float = NORMAL_SPREAD["imu_lever_arm"]
+    ) -> SensorMixedModel:
+        return _mixed(grams, compared, names, asked, {**usual, **slopes, "imu_lever_arm": lever}, turning, sessions)
 
     applied = [np.zeros(len(names)) for _ in used]
     offsets = [0.0 for _ in used]
@@ -157,8 +160,9 @@ def _search(
         known = [corrected_already(f, names) + values for f, values in zip(used, applied)]
         blocks = [added(blocks_of(w, by), values) for w, by, values in zip(weak, whiteners, known)]
         grams = [b.sum(axis=0) for b in blocks]
-        mixed = build(grams)
-        rules = Rules(0.0, WITNESS, build(grams, MARKERS_KNOWN * np.sqrt(len(blocks))))
+        slopes = spread_of_slopes(grams, names, compared) if turning and weak[0].feeling else {}
+        mixed = build(grams, slopes)
+        rules = Rules(0.0, WITNESS, build(grams, slopes, MARKERS_KNOWN * np.sqrt(len(blocks))))
         selection = select_causes(mixed, profiles, alarm, rules)
         wanted = [_nonlinear_values(mixed, selection, names, flag) for flag in compared]
         if not turning or look == LINEARISED - 1 or max(_apart(a, b, names) for a, b in zip(wanted, applied)) < 1.0:
@@ -171,7 +175,7 @@ def _search(
         weak = [weak_form(straightened(f, _set_right(values, names), offset))
                 for f, values, offset in zip(used, applied, offsets)]  # fmt: skip
         weak = [w._replace(columns=w.columns[:, :, [w.names.index(n) for n in names]], names=names) for w in weak]
-    return Search(list(weak), whiteners, blocks, known, mixed, selection, build)
+    return Search(list(weak), whiteners, blocks, known, mixed, selection, partial(build, slopes=slopes))
 
 
 def _profile(effect: Effect) -> Profile:

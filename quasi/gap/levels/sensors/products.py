@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from quasi.errors import DataError
-from quasi.gap.levels.sensors.columns import KEPT_RATE, Weak
+from quasi.gap.levels.sensors.columns import KEPT_RATE, SLOPE, XYZ, Weak
 from quasi.gap.statistics.blocks import BLOCK
 from quasi.gap.statistics.mixed import RIDGE
 from quasi.gap.statistics.whitening import Whitener, autoregression, block_grams
@@ -43,13 +43,41 @@ def alone(gram: np.ndarray, names: Sequence[str]) -> tuple[np.ndarray, np.ndarra
 
     A turned IMU and turned markers look alike in one flight; they are stated as the markers' turn.
     """
-    single = [i for i, n in enumerate(names) if i > 0 and n.split(".")[0] not in ("imu_misalignment", "drawn")]
+    gone = ("imu_misalignment", "drawn", *(f"{SLOPE}{a}" for a in XYZ))
+    single = [i for i, n in enumerate(names) if i > 0 and n.split(".")[0] not in gone]
     scale = np.sqrt(np.maximum(np.diag(gram), 1e-300))[single]
     inverse = np.linalg.inv(gram[np.ix_(single, single)] / np.outer(scale, scale) + RIDGE * np.eye(len(single)))
     values, std = np.zeros(len(names)), np.zeros(len(names))
     values[single] = inverse @ (gram[single, 0] / scale) / scale
     std[single] = np.sqrt(np.diag(inverse)) / scale
     return values, std
+
+
+def spread_of_slopes(grams: Sequence[np.ndarray], names: Sequence[str], compared: np.ndarray) -> dict[str, float]:
+    """Standard deviation by axis, {name: share}, by which flights' own scales of the accelerometer scatter too much.
+
+    A scale shows by its mean, which a bias makes too, and by how the residual grows with the specific force within a
+    flight. Late, smoothed or resampled signals change that slope, flight by flight, where noise alone counts as known.
+    Compared flights and others have a mean of their own. Axes that scatter as their standard errors say are left out.
+    Source: DerSimonian & Laird, Meta-analysis in clinical trials, Controlled Clinical Trials 7, 1986.
+    """
+    own = [alone(gram, names) for gram in grams]
+    found = {}
+    for axis in XYZ:
+        place = names.index(f"accelerometer_scale.{axis}")
+        value, std = (np.array([one[k][place] for one in own]) for k in (0, 1))
+        scatter = freedom = total = 0.0
+        for group in (compared, ~compared):
+            known = group & (std > 0.0)
+            if not known.any():
+                continue
+            weight, inside = std[known] ** -2.0, value[known]
+            scatter += weight @ (inside - np.average(inside, weights=weight)) ** 2
+            freedom += len(inside) - 1
+            total += weight.sum() - weight @ weight / weight.sum()
+        if scatter > freedom > 0:
+            found[f"{SLOPE}{axis}"] = float(np.sqrt((scatter - freedom) / total))
+    return found
 
 
 def added(blocks: np.ndarray, values: np.ndarray) -> np.ndarray:
