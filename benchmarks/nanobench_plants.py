@@ -9,8 +9,9 @@ plant; two of the new ones are held out. A plant changes columns of the recordin
 no physics of ours is involved. What is planted in rotors is planted in their commands: a rotor that is commanded more
 for the same thrust is a weak one. Each plant is a gap of the workflow in FOLDER; what is made stays.
 
-Right is what holds a planted cause, by name or in a tie. Wrong is a name that neither the plant nor the flights without
-a plant have. Import settles late stamps and a turned room: there nothing may be named.
+Right is what holds a planted cause, by name or in a tie. Wrong is another name of what changed. What is reported as
+present in all flights is no plant's: it is printed, and what the flights without a plant do not show is counted. Import
+settles late stamps and a turned room: there nothing may be named.
 """
 
 import argparse
@@ -237,11 +238,14 @@ def judge(plant: Plant, found: Mapping[str, Any], plain: set[str]) -> dict[str, 
     named = {e["id"]: e["parameters"] for e in found["effects"]}
     ties = [t["ids"] for t in found["ties"]]
     hit = bool(set(plant.right) & (set(named) | {i for t in ties for i in t}))
-    known = {*plant.right, *plain}
-    wrong = [i for i in named if i not in known] + ["/".join(t) for t in ties if not known & set(t)]
+    known, new = {*plant.right, *plain}, {e["id"] for e in found["effects"] if e["since"] == "changed"}
+    wrong = [i for i in new if i not in known]
+    wrong += ["/".join(t["ids"]) for t in found["ties"] if t["since"] == "changed" and not known & set(t["ids"])]
+    always = sorted(set(named) - new - known)
     errors = [(p["value"] - plant.values[k]) / p["std"] for i in plant.right for k, p in named.get(i, {}).items()
               if k in plant.values and p["std"]]  # fmt: skip
-    return {"right": (hit or not plant.right) and not wrong, "hit": hit, "wrong": wrong, "errors": errors}
+    return {"right": (hit or not plant.right) and not wrong, "hit": hit, "wrong": wrong, "always": always,
+            "errors": errors}  # fmt: skip
 
 
 def show(name: str, found: Mapping[str, Any], result: Mapping[str, Any]) -> None:
@@ -279,7 +283,7 @@ def main() -> None:
     for name, target in targets.items():
         if not target.is_file():
             print(f"{name}: no diagnosis, see logs/ of the project")
-            results[name] = {"right": False, "hit": False, "wrong": [], "errors": []}
+            results[name] = {"right": False, "hit": False, "wrong": [], "always": [], "errors": []}
             continue
         found = json.loads(target.read_text(encoding="utf-8"))
         if name == "nothing":
@@ -292,7 +296,7 @@ def main() -> None:
         "wrong": sum(bool(r["wrong"]) for r in results.values()),
         "missed": "; ".join(n for n, r in results.items() if not r["right"] and not r["wrong"]) or "none",
         "stated": len(errors), "within": int(np.sum(np.abs(errors) < 2.0)),
-        "plain": ", ".join(sorted(plain)) or "nothing",
+        "plain": ", ".join(sorted(plain)) or "nothing", "always": sum(bool(r["always"]) for r in results.values()),
     }  # fmt: skip
     print(values)
     if asked.record:

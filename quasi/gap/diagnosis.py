@@ -219,7 +219,8 @@ def diagnose(
         "losses": [{**loss._asdict(), "text": loss.sentence()} for loss in lost_by],
         "effects": sorted(
             [*lower_effects, *named],
-            key=lambda e: (e["id"] != rotor_order.ID, -float(e["evidence"].get("wald") or 0.0)),
+            # what is new first: it is what a pilot asks for
+            key=lambda e: (e["id"] != rotor_order.ID, e["since"] == "always", -float(e["evidence"].get("wald") or 0.0)),
         ),
         "ties": ties,
         "findings": [

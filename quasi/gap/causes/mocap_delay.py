@@ -1,12 +1,15 @@
-"""A captured rotation late behind the captured position."""
+"""A captured rotation late behind the captured position.
+
+Rotations are compared with the gyro and positions with the accelerometer: one of these filtered later looks the same.
+"""
 
 from quasi.gap.effect import Effect, Parameter, Sensor
 
 EFFECT = Effect(
     id="mocap_delay",
     level="sensors",
-    sentence="the capture's rotation is late behind its position",
-    opposite="the capture's rotation runs ahead of its position",
+    sentence="the capture's rotation is late behind its position, or the accelerometer is filtered later than the gyro",
+    opposite="the capture's rotation runs ahead of its position, or the gyro is filtered later than the accelerometer",
     equation="captured attitude(t) = true attitude(t - delay)",
     source="definition",
     parameters={"delay": Parameter("s", 0.0, "s", -0.1, 0.1, 0.01)},

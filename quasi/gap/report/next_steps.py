@@ -19,7 +19,8 @@ CORRECT = {
     "imu_misalignment": "mount the flight controller straight, or set its board alignment",
     "mocap_misalignment": "align the rigid body with the vehicle's axes in the capture's software",
     "room_tilt": "level the capture's ground plane anew",
-    "mocap_delay": "look at what the capture's software smooths of rotations",
+    "mocap_delay": "look at what the capture's software smooths of rotations, and at the filters of gyro and "
+    "accelerometer",
     "gyro_bias": "keep the vehicle still while its flight controller starts, which calibrates the gyro then",
     "accelerometer_bias": "let the vehicle rest for five seconds before take-off, on a level floor, and calibrate its "
     "accelerometer",
