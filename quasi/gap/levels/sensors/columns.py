@@ -42,7 +42,7 @@ LAGGED = 1.0  # s, time constant with which an on-board attitude is taken to lea
 SENSED_CHANNELS = ("p", "q", "r", "north", "east", "down")
 XYZ, EULER_ANGLES = ("x", "y", "z"), ("roll", "pitch", "yaw")
 FEWEST_KEPT = 60  # rows
-SLOPE = "slope_"  # columns of nuisances, see `identify`
+SLOPE_OF = "slope_"  # columns of nuisances, see `identify`
 
 
 class Weak(NamedTuple):
@@ -271,7 +271,7 @@ def weak_form(flown: Flown) -> Weak:
         felt = _average(turn[:, :, i] * f_free[:, i : i + 1], window)
         add(f"accelerometer_scale.{axis}", nothing, felt)
         usual = f_free[good, i].mean() if good.any() else 0.0
-        add(f"{SLOPE}{axis}.slope", nothing, felt - usual * axes[:, :, i])  # all of a scale but its mean, a bias
+        add(f"{SLOPE_OF}{axis}.slope", nothing, felt - usual * axes[:, :, i])  # all of a scale but its mean, a bias
         add(f"imu_lever_arm.{axis}", nothing, swing[:, :, i])
     arm = np.asarray(flown.airframe.marker_offset, float)
     for i, axis in enumerate(EULER_ANGLES):

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from quasi.errors import DataError
-from quasi.gap.levels.sensors.columns import KEPT_RATE, SLOPE, XYZ, Weak
+from quasi.gap.levels.sensors.columns import KEPT_RATE, SLOPE_OF, XYZ, Weak
 from quasi.gap.statistics.blocks import BLOCK
 from quasi.gap.statistics.mixed import RIDGE
 from quasi.gap.statistics.whitening import Whitener, autoregression, block_grams
@@ -43,7 +43,7 @@ def alone(gram: np.ndarray, names: Sequence[str]) -> tuple[np.ndarray, np.ndarra
 
     A turned IMU and turned markers look alike in one flight; they are stated as the markers' turn.
     """
-    gone = ("imu_misalignment", "drawn", *(f"{SLOPE}{a}" for a in XYZ))
+    gone = ("imu_misalignment", "drawn", *(f"{SLOPE_OF}{a}" for a in XYZ))
     single = [i for i, n in enumerate(names) if i > 0 and n.split(".")[0] not in gone]
     scale = np.sqrt(np.maximum(np.diag(gram), 1e-300))[single]
     inverse = np.linalg.inv(gram[np.ix_(single, single)] / np.outer(scale, scale) + RIDGE * np.eye(len(single)))
@@ -76,7 +76,7 @@ def spread_of_slopes(grams: Sequence[np.ndarray], names: Sequence[str], compared
             freedom += len(inside) - 1
             total += weight.sum() - weight @ weight / weight.sum()
         if scatter > freedom > 0:
-            found[f"{SLOPE}{axis}"] = float(np.sqrt((scatter - freedom) / total))
+            found[f"{SLOPE_OF}{axis}"] = float(np.sqrt((scatter - freedom) / total))
     return found
 
 
