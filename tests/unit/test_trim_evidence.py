@@ -142,6 +142,19 @@ def test_a_rotor_that_the_trim_shows_is_reason_enough_for_less_thrust_in_all():
     assert not why_rotor_is_enough(None)
 
 
+def test_a_rotor_that_the_trim_shows_needs_no_moved_centre_of_gravity_to_help_it():
+    """Forces from commands had named a rotor too faint, and a cg for the rest of its constant moment (NanoBench)."""
+    weak = ("rotor_effectiveness", {"rotor3": -0.15})
+    cg, tilt = ("cg_offset", {"x": 0.001, "y": -0.001}), ("rotor_tilt", {"yaw": 0.01})
+    rotor = commanded([1.0, 1.0, 1.0 / 0.7, 1.0])
+    assert set(rejected_by_trim(rotor, [weak, cg, tilt, ("wind", {"north": 1.0})], MASS)) == {1, 2}
+    assert "no moved centre of gravity" in rejected_by_trim(rotor, [weak, cg], MASS)[1]
+    relative = rotor.geometry.relative
+    both = commanded(np.array([1.0, 1.0, 1.0 / 0.6, 1.0]) * np.exp(relative[:, 1] * 0.08))
+    assert both.document["word"] != "named" or not rejected_by_trim(both, [weak, cg], MASS)
+    assert not rejected_by_trim(commanded(np.exp(relative[:, 1] * 0.1)), [("cg_offset", {"y": 0.0046})], MASS)
+
+
 def tied(*causes):
     """A search that found one tie of causes that changed."""
     tie = Tie([mixed.Test(mixed.Candidate(n, "changed", (0,)), *[None] * 5) for n in causes], 3.0)

@@ -11,10 +11,10 @@ from quasi.gap.effect import Vehicle
 from quasi.gap.levels.forces.estimated_speeds import OF_THE_SAME_THRUST, SAG
 from quasi.gap.levels.hover_trim import (
     N_ROTORS,
-    SHARE_STD,
     Comparison,
     Flight,
     Geometry,
+    Hypothesis,
     compare,
     conclude,
     geometry_of,
@@ -29,6 +29,8 @@ HYPOTHESES = {"mass": "another mass", "cg": "a moved centre of gravity", "weight
          "yaw": "another balance about yaw (a tilted rotor)"}  # fmt: skip
 TRIM_CHANNELS = {"rotor_effectiveness": ["Fz", "Mx", "My"], "mass": ["Fz"], "thrust_factor": ["Fz"],
             "cg_offset": ["Mx", "My"], "rotor_tilt": ["Mz"]}  # fmt: skip
+NEEDLESS = {"mass": "other total thrust", "cg": "moved centre of gravity", "yaw": "tilted rotor"}
+OF_MOMENTS = {"cg_offset": "cg", "rotor_tilt": "yaw"}  # causes of a constant moment: their hypotheses
 TRIM = "trim"  # id of the finding
 OF_TOTAL_THRUST = (*OF_THE_SAME_THRUST, SAG)  # of all rotors alike
 
@@ -146,24 +148,31 @@ def expected_change(cause: str, deviations: Mapping[str, float], evidence: TrimE
     return change
 
 
-def why_rotor_is_enough(evidence: TrimEvidence | None) -> str:
-    """Why the trim needs no other total thrust next to the one rotor that it names; "" where it does, or names none.
+def why_rotor_is_enough(evidence: TrimEvidence | None, other: str = "mass") -> str:
+    """Why the trim needs no other cause next to the one rotor that it names; "" where it does, or names none.
 
+    other  name of the cause's hypothesis: "mass" for another total thrust, "cg" or "yaw"
     Of flights with commands in place of measured speeds alone. Under the named rotor the trim's change c is normal with
-    the covariance C + D S D'; another total thrust adds SHARE_STD^2 1 1'. It is not needed where it makes c no more
-    probable. Forces hold no more: a rotor that is weaker by a fifth takes a twentieth of the vertical force.
+    the covariance C + D S D'; the other cause adds its own. It is not needed where it makes c no more probable. Forces
+    hold no more: a rotor that is weaker by a fifth takes a twentieth of the vertical force, and a constant moment is
+    the trim of a flight.
     """
     if evidence is None or evidence.document.get("source") != "commands" or evidence.document["word"] != "named":
         return ""
     (name,), found = evidence.document["names"], evidence.comparison
-    named = next(h for h in hypotheses(evidence.geometry) if h.name == name)
-    if named.ids != ("rotor_effectiveness",):
+    known = {h.name: h for h in hypotheses(evidence.geometry)}
+    if known[name].ids != ("rotor_effectiveness",):
         return ""
-    of_rotor = named.directions * np.array(named.std)
-    alone = found.covariance + of_rotor @ of_rotor.T
-    if _log_density(found.change, alone + SHARE_STD**2) > _log_density(found.change, alone):
+
+    def spread(hypothesis: Hypothesis) -> np.ndarray:
+        own = hypothesis.directions * np.array(hypothesis.std)
+        return own @ own.T
+
+    alone = found.covariance + spread(known[name])
+    if _log_density(found.change, alone + spread(known[other])) > _log_density(found.change, alone):
         return ""
-    return f"the trim shows {_words(name, evidence.document['parameters'][name])}, and needs no other total thrust"
+    shown = _words(name, evidence.document["parameters"][name])
+    return f"the trim shows {shown}, and needs no {NEEDLESS[other]}"
 
 
 def _log_density(x: np.ndarray, covariance: np.ndarray) -> float:
@@ -182,6 +191,10 @@ def rejected_by_trim(
     if evidence is None or evidence.comparison is None or not causes:
         return {}
     found, enough = evidence.comparison, why_rotor_is_enough(evidence)
+    needless = {k: why for k, (cause, _) in enumerate(causes)
+                if cause in OF_MOMENTS and (why := why_rotor_is_enough(evidence, OF_MOMENTS[cause]))}  # fmt: skip
+    if needless:
+        return needless
     if enough and not any(cause == "rotor_effectiveness" for cause, _ in causes):
         needless = {k: enough for k, (cause, _) in enumerate(causes) if cause in OF_TOTAL_THRUST}
         if needless:
