@@ -103,8 +103,12 @@ def constant_force_ties(
 
 
 def _varies(compared: Sequence[Evidence], left: Residual, axes: Sequence[int], away: np.ndarray) -> bool:
-    """Whether the force is not constant: over the flight with the largest range of time or of height it changes by
-    half of it and more. The slope is fitted to the two halves of every flight."""
+    """Whether the force is not constant: flights differ by more than they have in common, in the room and on the
+    vehicle, or over the flight with the largest range of time or of height it changes by half of it and more. The slope
+    is fitted to the two halves of every flight."""
+    on_board = np.array([left(e)[:, axes].mean(axis=0) for e in compared])
+    if all(_scatters(forces) for forces in (away, on_board)):
+        return True
     usual = np.median(np.linalg.norm(away, axis=1))
     for name in ("t", "z"):
         halves = [_halves(f, left, name, axes) for f in compared if name in f.columns]
@@ -115,6 +119,12 @@ def _varies(compared: Sequence[Evidence], left: Residual, axes: Sequence[int], a
         if 2.0 * distances.max() * np.linalg.norm(slope) > usual:
             return True
     return False
+
+
+def _scatters(forces: np.ndarray) -> bool:
+    """Whether forces (F, k) differ by more than they have in common."""
+    common = forces.mean(axis=0)
+    return bool(np.sqrt(np.mean(np.sum((forces - common) ** 2, axis=1))) > np.linalg.norm(common))
 
 
 def _halves(flight: Evidence, left: Residual, name: str, axes: Sequence[int]) -> tuple[float, np.ndarray]:
