@@ -160,7 +160,7 @@ def _search(
         known = [corrected_already(f, names) + values for f, values in zip(used, applied)]
         blocks = [added(blocks_of(w, by), values) for w, by, values in zip(weak, whiteners, known)]
         grams = [b.sum(axis=0) for b in blocks]
-        slopes = spread_of_slopes(grams, names, compared) if turning and weak[0].feeling else {}
+        slopes = spread_of_slopes(grams, names, compared, alarm) if turning and weak[0].feeling else {}
         mixed = build(grams, slopes)
         rules = Rules(0.0, WITNESS, build(grams, slopes, MARKERS_KNOWN * np.sqrt(len(blocks))))
         selection = select_causes(mixed, profiles, alarm, rules)

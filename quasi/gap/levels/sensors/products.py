@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 
 import numpy as np
+from scipy.stats import chi2
 
 from quasi.errors import DataError
 from quasi.gap.levels.sensors.columns import KEPT_RATE, SLOPE_OF, XYZ, Weak
@@ -53,12 +54,15 @@ def alone(gram: np.ndarray, names: Sequence[str]) -> tuple[np.ndarray, np.ndarra
     return values, std
 
 
-def spread_of_slopes(grams: Sequence[np.ndarray], names: Sequence[str], compared: np.ndarray) -> dict[str, float]:
+def spread_of_slopes(
+    grams: Sequence[np.ndarray], names: Sequence[str], compared: np.ndarray, rate: float
+) -> dict[str, float]:
     """Standard deviation by axis, {name: share}, by which flights' own scales of the accelerometer scatter too much.
 
     A scale shows by its mean, which a bias makes too, and by how the residual grows with the specific force within a
     flight. Late, smoothed or resampled signals change that slope, flight by flight, where noise alone counts as known.
-    Compared flights and others have a mean of their own. Axes that scatter as their standard errors say are left out.
+    Compared flights and others have a mean of their own. rate  chance at which an axis counts that scatters as its
+    standard errors say
     Source: DerSimonian & Laird, Meta-analysis in clinical trials, Controlled Clinical Trials 7, 1986.
     """
     own = [alone(gram, names) for gram in grams]
@@ -75,7 +79,7 @@ def spread_of_slopes(grams: Sequence[np.ndarray], names: Sequence[str], compared
             scatter += weight @ (inside - np.average(inside, weights=weight)) ** 2
             freedom += len(inside) - 1
             total += weight.sum() - weight @ weight / weight.sum()
-        if scatter > freedom > 0:
+        if freedom and chi2.sf(scatter, freedom) < rate:
             found[f"{SLOPE_OF}{axis}"] = float(np.sqrt((scatter - freedom) / total))
     return found
 
