@@ -17,18 +17,39 @@ from quasi.gap.levels.sensors.identify import NORMAL_SPREAD, SENSOR_CAUSES, size
 from quasi.gap.levels.sensors.products import blocks_of, least_squares, whitener_of
 from quasi.gap.materiality import Gain, LinearErrors, each_usable, gains_of, without_nuisances
 
+MEAN_OF = {"accelerometer_scale": "accelerometer_bias"}  # {cause: what its mean looks like}
+
 
 def gains(entries: Sequence[Mapping[str, Any]], flights: Sequence[Flown], corrected: bool = True) -> dict[str, Gain]:
     """What causes of sensors remove, or would remove where import cannot correct them.
 
     flights  with capture, processed with the calibration or (not corrected) without
 
+    A flight's own bias takes off the mean of a scale, whatever its size: such a cause is judged with the bias left in
+    the error as well, and the better of both counts.
     Raises DataError when no flight can be compared with its capture.
     """
+    weak = each_usable(flights, lambda flown: (flown, weak_form(flown)))
+    found = _gains(entries, weak, corrected, causes_of(entries))
+    for cause, bias in MEAN_OF.items():
+        if cause in found:
+            other = _gains(entries, weak, corrected, causes_of(entries) | {bias})[cause]
+            if _most(other) > _most(found[cause]):
+                found[cause] = other
+    return found
 
-    def errors(flown: Flown) -> tuple[LinearErrors, dict[str, np.ndarray]]:
-        weak = weak_form(flown)
-        columns = weak.columns @ _without_nuisances(weak, causes_of(entries))
+
+def _most(gain: Gain) -> float:
+    return float(np.max(gain.removed, where=np.isfinite(gain.removed), initial=-np.inf))
+
+
+def _gains(
+    entries: Sequence[Mapping[str, Any]], flights: Sequence[tuple[Flown, Weak]], corrected: bool, own: set[str]
+) -> dict[str, Gain]:
+    """Gains with the nuisances of `own` causes left in the errors."""
+
+    def errors(flown: Flown, weak: Weak) -> tuple[LinearErrors, dict[str, np.ndarray]]:
+        columns = weak.columns @ _without_nuisances(weak, own)
         position = {n: k for k, n in enumerate(weak.names)}
         sizes = {cause_of(e): _in_columns(e, position) for e in entries}
         values = corrected_already(flown, weak.names)
@@ -38,7 +59,7 @@ def gains(entries: Sequence[Mapping[str, Any]], flights: Sequence[Flown], correc
         floor = weak.columns[:, :, 0] - weak.columns[:, :, 1:] @ least_squares(weak.columns)
         return LinearErrors(columns @ values, floor, columns), sizes
 
-    found = each_usable(flights, errors)
+    found = [errors(*one) for one in flights]
     return gains_of([e for e, _ in found], found[-1][1])
 
 
