@@ -235,14 +235,15 @@ def write_project(data: Path, folder: Path, plants: Mapping[str, Plant]) -> dict
 
 def judge(plant: Plant, found: Mapping[str, Any], plain: set[str]) -> dict[str, Any]:
     """What is right of a diagnosis. plain  names that the flights without a plant have"""
-    named = {e["id"]: e["parameters"] for e in found["effects"]}
+    named = {e["id"] for e in found["effects"]}
     ties = [t["ids"] for t in found["ties"]]
-    hit = bool(set(plant.right) & (set(named) | {i for t in ties for i in t}))
+    hit = bool(set(plant.right) & (named | {i for t in ties for i in t}))
     known, new = {*plant.right, *plain}, {e["id"] for e in found["effects"] if e["since"] == "changed"}
     wrong = [i for i in new if i not in known]
     wrong += ["/".join(t["ids"]) for t in found["ties"] if t["since"] == "changed" and not known & set(t["ids"])]
-    always = sorted(set(named) - new - known)
-    errors = [(p["value"] - plant.values[k]) / p["std"] for i in plant.right for k, p in named.get(i, {}).items()
+    always = sorted(named - new - known)
+    stated = [e["parameters"] for e in found["effects"] if e["id"] in plant.right and e["since"] == "changed"]
+    errors = [(p["value"] - plant.values[k]) / p["std"] for own in stated for k, p in own.items()
               if k in plant.values and p["std"]]  # fmt: skip
     return {"right": (hit or not plant.right) and not wrong, "hit": hit, "wrong": wrong, "always": always,
             "errors": errors}  # fmt: skip
