@@ -74,6 +74,18 @@ def test_the_right_order_a_weak_rotor_and_flights_of_two_orders_are_left_alone(f
     assert find_rotor_order([*flights[:3], logged(flights[3], (2, 1, 0, 3), True)], model) is None
 
 
+def test_a_gentle_flight_that_shows_little_by_itself_goes_with_the_others(flights, model):
+    """A ramp with log odds of 6.5 had kept three circles with 24 and more from being put right (NanoBench)."""
+    shaken = np.random.default_rng(9).standard_normal((len(flights[3].filtered), 3))
+    table = flights[3].filtered.assign(
+        **{a: flights[3].filtered[a] + 0.4 * shaken[:, k] for k, a in enumerate(AXES[3:])}
+    )
+    gentle = replace(flights[3], filtered=table, imported=table)
+    found = find_rotor_order([logged(f, (1, 0, 2, 3), True) for f in [*flights[:3], gentle]], model)
+    assert found.speeds == (1, 0, 2, 3)
+    assert 0.0 < found.odds["f3"] < 7.7 < found.odds["f2"]
+
+
 def test_a_model_that_contradicts_its_configuration_shows_no_order(flights, model):
     """Reference flights in a wrong order: the compared ones, in the right one, are not at fault."""
     wrong = Model({**model.document, "contradictions": ["rotor 1 pushes as if it were aft left"]})

@@ -89,9 +89,10 @@ def reorder(flown: Flown, found: Mapping[str, Any]) -> Flown:
 def find_rotor_order(flights: Sequence[Flown], model: Model) -> RotorOrder | None:
     """The order in which compared flights log their rotors, where it is surely another one than the model's.
 
-    Each compared flight by itself must favour the same order decisively. Without a velocity, or where reference
-    flights do not show the model's own order, nothing is found. Nor is it where the model's rotors contradict its
-    configuration: then the order of the flights that made it is wrong, which the diagnosis reports of the model.
+    Compared flights must favour the same order, each of them, and decisively together: a gentle flight shows little by
+    itself, and one that is logged in another order than the rest speaks against theirs. Without a velocity, or where
+    reference flights do not show the model's own order, nothing is found. Nor is it where the model's rotors contradict
+    its configuration: then the order of the flights that made it is wrong, which the diagnosis reports of the model.
     """
     if model.document.get("contradictions"):
         return None
@@ -108,9 +109,10 @@ def find_rotor_order(flights: Sequence[Flown], model: Model) -> RotorOrder | Non
     odds = {key: log_odds(left[key], evidence[key].t) for key in left}
     total = np.sum([odds[key] for key in compared], axis=0)
     best = int(np.argmax(total))
-    if best == 0 or any(odds[key][best] < DECISIVE + np.log(len(ORDERS) - 1) for key in compared):
+    needed = DECISIVE + np.log(len(ORDERS) - 1)
+    if best == 0 or total[best] < needed or any(odds[key][best] <= 0.0 for key in compared):
         return None
-    if any(odds[key].max() > DECISIVE + np.log(len(ORDERS) - 1) for key in left if key not in compared):
+    if any(odds[key].max() > needed for key in left if key not in compared):
         return None
     weight = np.exp(total - total.max())
     speeds = ORDERS[best]
