@@ -107,6 +107,7 @@ def test_a_change_that_fits_no_cause_is_a_finding_and_no_agreement_where_forces_
     (finding,) = unnamed_change(found, ["gyro_bias"])
     assert "-27, +11, -10, +13 % more thrust" in finding["text"] and "other motors" in finding["text"]
     assert unnamed_change(found, ["rotor_effectiveness"]) == [] and verdict_of([], [], [finding]) == "unexplained"
+    assert steps(document() | {"findings": [finding]}, KNOWN)[0].startswith("The trim in steady flight changed")
     assert finding["text"] in summary(document() | {"findings": [finding], "verdict": "unexplained"}, KNOWN)
 
 

@@ -38,7 +38,13 @@ CORRECT = {
 
 def steps(diagnosis: Mapping[str, Any], known: Mapping[str, Effect]) -> list[str]:
     """What to do next, a sentence each; the first is the most useful one."""
-    effects, sentences = diagnosis["effects"], []
+    effects = diagnosis["effects"]
+    sentences = [
+        "The trim in steady flight changed: look at the compared flights' propellers, motors and battery, and whether "
+        "they are of the same vehicle."
+        for finding in diagnosis.get("findings", ())
+        if finding["id"] == "trim"
+    ]
     own = [e for e in effects if in_model(e)]
     if own:
         sentences.append(
