@@ -16,7 +16,6 @@ Most of a fault then is in the model. It is right to name nothing, or the plant,
 
 import argparse
 import copy
-import math
 import os
 from collections.abc import Callable, Mapping
 from dataclasses import replace
@@ -32,7 +31,7 @@ from hidden import Recorded, identified, processed
 from hide_and_seek import SETTINGS, seek
 from measured_table import record
 from scipy.spatial.transform import Rotation
-from study import ROOT, run
+from study import ROOT, run, show_found
 
 import quasi.importing.flight as importing
 from quasi.importing.calibration import felt_too_much
@@ -295,15 +294,7 @@ def main() -> None:
         one = judged[name]
         print(f"{name}: {'right' if one['right'] else 'MISSED'}, {found['verdict']}"
               + (f", wrong: {', '.join(one['wrong'])}" if one["wrong"] else ""))  # fmt: skip
-        for e in found["effects"]:
-            values = ", ".join(
-                f"{k} {p['value']:.4g} +- {p['std'] or math.nan:.2g}" for k, p in e["parameters"].items()
-            )
-            print(f"   named {e['id']}, {e['since']}: {values}")
-        for tie in found["ties"]:
-            print(f"   tie {' / '.join(tie['ids'])}")
-        for left in found["unexplained"]:
-            print(f"   unexplained {left['channel']} along {left['where']}")
+        show_found(found)
     errors = np.array([e for one in judged.values() for e in one["in std"].values()])
     values: dict[str, Any] = {
         "plants": len(names), "right": sum(one["right"] for one in judged.values()),

@@ -3,8 +3,8 @@
     python benchmarks/nanobench_plants.py DATA FOLDER [--plants mass ...] [--jobs 2] [--record]
 
 DATA holds nanobench/: flights of a Crazyflie with commands, battery voltage, IMU and Vicon, of three days. In four of
-them rotor 1 is asked for a third less and the others for another share each: another vehicle, or other motors. They are
-left out. Five make the model and are the reference flights. Two of these, and three that are new to the model, get the
+them rotor 1 is asked for a quarter less, the others for other shares: another vehicle, or other motors. They are left
+out. Five make the model and are the reference flights. Two of these, and three that are new to the model, get the
 plant; two of the new ones are held out. A plant changes columns of the recordings or keys of the configuration, so that
 no physics of ours is involved. What is planted in rotors is planted in their commands: a rotor that is commanded more
 for the same thrust is a weak one. Each plant is a gap of the workflow in FOLDER; what is made stays.
@@ -30,8 +30,8 @@ import pandas as pd
 from foreign import write_changed
 from measured_table import record
 from scipy.spatial.transform import Rotation
+from study import ROOT, show_found
 
-ROOT = Path(__file__).parents[1]
 EXAMPLE = ROOT / "examples/crazyflie"
 # flights of NanoBench by their row of the logbook
 REFERENCES, PLANTED, HELD_OUT = (2, 5, 7, 10, 12), (2, 5, 8, 11, 13), 2
@@ -253,13 +253,7 @@ def show(name: str, found: Mapping[str, Any], result: Mapping[str, Any]) -> None
     """Print what was found of a plant."""
     word = "WRONG: " + ", ".join(result["wrong"]) if result["wrong"] else "right" if result["right"] else "MISSED"
     print(f"{name}: {word} ({found['verdict']})")
-    for e in found["effects"]:
-        values = ", ".join(f"{k} {p['value']:.4g} +- {p['std'] or np.nan:.2g}" for k, p in e["parameters"].items())
-        print(f"   named {e['id']}, {e['since']}: {values}")
-    for tie in found["ties"]:
-        print(f"   tie {' / '.join(tie['ids'])}")
-    for left in found["unexplained"]:
-        print(f"   unexplained {left['channel']} along {left['where']}")
+    show_found(found)
 
 
 def main() -> None:

@@ -22,7 +22,7 @@ import numpy as np
 import pandas as pd
 from hidden import identified
 from scipy.spatial.transform import Rotation
-from study import ROOT, run
+from study import ROOT, run, show_found
 
 from quasi.airframe import read_airframe
 from quasi.filtering.flight import filter_flight
@@ -334,13 +334,7 @@ def main() -> None:
         right, clean = right + told["right"], clean + (not told["extra"])
         print(f"{name}: {'right' if told['right'] else 'MISSED'}, {found['verdict']}"
               + (f", further: {', '.join(told['extra'])}" if told["extra"] and name != "nothing" else ""))  # fmt: skip
-        for e in found["effects"]:
-            values = ", ".join(f"{k} {p['value']:.4g} +- {p['std']:.2g}" for k, p in e["parameters"].items())
-            print(f"   named {e['id']}, {e['since']}: {values}")
-        for tie in found["ties"]:
-            print(f"   tie {' / '.join(tie['ids'])}")
-        for left in found["unexplained"]:
-            print(f"   unexplained {left['channel']} along {left['where']}")
+        show_found(found)
         if told["error in std"] is not None:
             print(f"   parameter off by {told['error in std']:.1f} standard errors")
     print(f"{right} of {len(names)} right, {clean} without further names")

@@ -5,8 +5,9 @@ results = run(settings_of_each_draw, draw, folder, Path(__file__))
 
 import sys
 import tempfile
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -45,6 +46,17 @@ def run(many: Iterable[dict], draw: Callable[[dict], dict], folder: Path, progra
         print(f"\r{i + 1} of {len(wanted)}", end="", file=sys.stderr, flush=True)
     print(file=sys.stderr)
     return results
+
+
+def show_found(found: Mapping[str, Any]) -> None:
+    """Print what a diagnosis names, ties and leaves."""
+    for e in found["effects"]:
+        values = ", ".join(f"{k} {p['value']:.4g} +- {p['std'] or np.nan:.2g}" for k, p in e["parameters"].items())
+        print(f"   named {e['id']}, {e['since']}: {values}")
+    for tie in found["ties"]:
+        print(f"   tie {' / '.join(tie['ids'])}")
+    for left in found["unexplained"]:
+        print(f"   unexplained {left['channel']} along {left['where']}")
 
 
 def rms(values: object) -> float:

@@ -6,7 +6,7 @@ is fitted to the flight itself. A calibration stays as it is: it was fixed befor
 """
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -29,14 +29,27 @@ def gains(entries: Sequence[Mapping[str, Any]], flights: Sequence[Flown], correc
     the error as well, and the better of both counts.
     Raises DataError when no flight can be compared with its capture.
     """
-    weak = each_usable(flights, lambda flown: (flown, weak_form(flown)))
-    found = _gains(entries, weak, corrected, causes_of(entries))
+    usable = each_usable(flights, _known_of)
+    found = _gains(entries, usable, corrected, causes_of(entries))
     for cause, bias in MEAN_OF.items():
         if cause in found:
-            other = _gains(entries, weak, corrected, causes_of(entries) | {bias})[cause]
+            other = _gains(entries, usable, corrected, causes_of(entries) | {bias})[cause]
             if _most(other) > _most(found[cause]):
                 found[cause] = other
     return found
+
+
+class _Known(NamedTuple):
+    """A flight, its columns, and their whitened cross-products (P, P)."""
+
+    flown: Flown
+    weak: Weak
+    information: np.ndarray
+
+
+def _known_of(flown: Flown) -> _Known:
+    weak = weak_form(flown)
+    return _Known(flown, weak, blocks_of(weak, whitener_of(weak)).sum(axis=0))
 
 
 def _most(gain: Gain) -> float:
@@ -44,31 +57,32 @@ def _most(gain: Gain) -> float:
 
 
 def _gains(
-    entries: Sequence[Mapping[str, Any]], flights: Sequence[tuple[Flown, Weak]], corrected: bool, own: set[str]
+    entries: Sequence[Mapping[str, Any]], flights: Sequence[_Known], corrected: bool, own: set[str]
 ) -> dict[str, Gain]:
     """Gains with the nuisances of `own` causes left in the errors."""
 
-    def errors(flown: Flown, weak: Weak) -> tuple[LinearErrors, dict[str, np.ndarray]]:
-        columns = weak.columns @ _without_nuisances(weak, own)
+    def errors(known: _Known) -> tuple[LinearErrors, dict[str, np.ndarray]]:
+        weak = known.weak
+        columns = weak.columns @ _without_nuisances(known, own)
         position = {n: k for k, n in enumerate(weak.names)}
         sizes = {cause_of(e): _in_columns(e, position) for e in entries}
-        values = corrected_already(flown, weak.names)
+        values = corrected_already(known.flown, weak.names)
         values[0] = 1.0
         if corrected:  # what import took off is added again; it takes off none but what it can correct
             values = values + sum(v for c, v in sizes.items() if catalogue()[c].corrects)
         floor = weak.columns[:, :, 0] - weak.columns[:, :, 1:] @ least_squares(weak.columns)
         return LinearErrors(columns @ values, floor, columns), sizes
 
-    found = [errors(*one) for one in flights]
+    found = [errors(one) for one in flights]
     return gains_of([e for e, _ in found], found[-1][1])
 
 
-def _without_nuisances(weak: Weak, own: set[str]) -> np.ndarray:
+def _without_nuisances(known: _Known, own: set[str]) -> np.ndarray:
     """(P, P): columns times this have the flight's usual nuisances taken off, all but those of the `own` causes."""
     own = own | ({"imu_lever_arm"} if "marker_offset" in own else set())
-    of = [n.split(".")[0] for n in weak.names]
+    of = [n.split(".")[0] for n in known.weak.names]
     spread = {k: NORMAL_SPREAD[c] for k, c in enumerate(of) if k > 0 and c in NORMAL_SPREAD and c not in own}
-    return without_nuisances(blocks_of(weak, whitener_of(weak)).sum(axis=0), spread)
+    return without_nuisances(known.information, spread)
 
 
 def _in_columns(entry: Mapping[str, Any], position: Mapping[str, int]) -> np.ndarray:
