@@ -267,6 +267,8 @@ def main() -> None:
     asked = parser.parse_args()
     chosen = {n: p for n, p in PLANTS.items()
               if n == "nothing" or not asked.plants or any(part in n for part in asked.plants)}  # fmt: skip
+    if not (asked.data / "nanobench").is_dir():
+        raise SystemExit(f"{asked.data} holds no nanobench/; give the folder that holds NanoBench's flights")
     gaps = write_project(asked.data, asked.folder, chosen)
     targets = {name: asked.folder / f"results/gaps/{gap}/diagnosis.json" for name, gap in gaps.items()}
     command = [sys.executable, "-m", "snakemake", "-s", str(ROOT / "Snakefile"), "-d", str(asked.folder),
