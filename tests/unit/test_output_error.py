@@ -28,7 +28,7 @@ from quasi.gap.levels.rollouts.confirmation import (
 from quasi.gap.levels.rollouts.linear_response import course_of, responses
 from quasi.gap.materiality import Cause
 from quasi.gap.statistics import mixed
-from quasi.model.model import Model
+from quasi.model.model import AXES, Model
 
 EFFECTS = {n: catalogue()[n] for n in ("rotor_effectiveness", "cg_offset", "body_drag", "tether")}
 
@@ -176,6 +176,21 @@ def test_a_cause_that_the_held_out_flights_refute_is_dropped_and_the_other_stays
         Searched(study, tuple(both)), both, model, [True] * 3, EFFECTS, vehicle_of(model), [evidence["f3"]], weak
     )
     assert hardly.causes == both and hardly.confirmations["tether", "always"].outcome == UNJUDGED
+
+
+def test_a_cause_of_which_the_base_model_sees_a_part_has_to_be_confirmed(model, weak, evidence, study):
+    # at 2.5 standard errors held-out flights cannot judge it: it stands where all of its axes found it
+    pitch_is_worthless = [dataclasses.replace(evidence[f"f{k}"], excluded=(AXES.index("My"),)) for k in range(3)]
+    in_part = gather_design(pitch_is_worthless, EFFECTS, vehicle_of(model))
+
+    def settled(seen, std):
+        one = cause("rotor_effectiveness", {"rotor2": -0.05}, {"rotor2": std})
+        return settle(Searched(seen), [one], model, [True] * 3, EFFECTS, vehicle_of(model), [evidence["f3"]], weak)
+
+    assert len(settled(study, 0.02).causes) == 1
+    assert len(settled(in_part, 0.002).causes) == 1
+    ((_, answer),) = settled(in_part, 0.02).dropped
+    assert answer.outcome == REFUTED and "acts on My as well" in answer.why
 
 
 def test_what_cannot_be_simulated_is_neither_confirmed_nor_dropped(model, weak, evidence, study):

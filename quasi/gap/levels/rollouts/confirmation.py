@@ -27,10 +27,10 @@ from quasi.gap.levels.forces.nuisance import nuisances
 from quasi.gap.levels.rollouts import output_error
 from quasi.gap.levels.rollouts.linear_response import Course
 from quasi.gap.levels.rollouts.output_error import Fitted, Values
-from quasi.gap.materiality import Cause
+from quasi.gap.materiality import Cause, seen_in
 from quasi.gap.statistics.mixed import Candidate, Columns, MixedModel
 from quasi.gap.statistics.whitening import thin
-from quasi.model.model import Model
+from quasi.model.model import AXES, Model
 
 CONFIRMED, REFUTED, UNJUDGED = "confirmed", "not confirmed", "cannot be judged"
 GAIN_T, LOSS_T = 1.64, 2.58  # one-sided 5 %: it gains; 0.5 %: it loses, or a gain would have been seen
@@ -175,6 +175,7 @@ def settle(
             results = [_honest(s, c, count[c.since] / len(held)) for c, s in zip(kept, results)]
             faint = {_key(c) for c in found.unjudged}
             results = [_lenient(s, c, whole, _key(c) in faint) for c, s in zip(kept, results)]
+            results = [_in_part(s, c, found.study.flights) for c, s in zip(kept, results)]
             refuted = [k for k, s in enumerate(results) if s.outcome == REFUTED]
             if not refuted:
                 estimates = {_key(c): Estimate(*e) for c, *e in zip(kept, fitted.values, fitted.std, fitted.used)}
@@ -231,6 +232,22 @@ def _lenient(result: Confirmation, cause: Cause, whole: Model, faint: bool = Fal
     if any(cause.effect.parameters[n].scope == "f" for n in cause.value):
         return result._replace(outcome=UNJUDGED, why="each flight has its own value of it")
     return result
+
+
+def _in_part(result: Confirmation, cause: Cause, flights: Sequence[Evidence]) -> Confirmation:
+    """A cause that acts on axes of which the base model explains nothing is known by its other axes alone, which more
+    than one cause may fit (the vertical force of a swinging weight that of a rotor in the wake of another): roll-outs
+    have to confirm it.
+    """
+    unseen = [AXES[k] for k in seen_in(cause.effect) if any(k in f.excluded for f in flights)]
+    if result.outcome != UNJUDGED or not unseen:
+        return result
+    found = f"they show {result.amplitude:.2f} +- {result.std:.2f} of its motion, expected 1"
+    why = (
+        f"it acts on {', '.join(unseen)} as well, of which the base model explains next to nothing, and roll-outs of "
+        f"the held-out flights do not confirm the rest: {found if result.std < np.inf else result.why}"
+    )
+    return result._replace(outcome=REFUTED, why=why)
 
 
 def _key(cause: Cause) -> tuple[str, str]:
