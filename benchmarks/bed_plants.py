@@ -24,8 +24,10 @@ from typing import Any, NamedTuple
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
+import hidden
 import numpy as np
 import pandas as pd
+import planted_forces
 from beds import FIRST, OF_THE_AIRFRAME, SECOND, unpack
 from hidden import Recorded, identified, processed
 from hide_and_seek import SETTINGS, seek
@@ -47,13 +49,15 @@ class Plant(NamedTuple):
     """One fault.
 
     right   ids of which one must be named or stand in a tie; empty where import or filter settles it: nothing is named
-    values  {parameter: value to be stated} of the first; change  of the streams; configure  of the quadrotor
+    values  {parameter: value to be stated} of the first; change  of the streams; configure  of the quadrotor; acting
+    the cause of `planted_forces` and its size
     """
 
     right: tuple[str, ...] = ()
     values: Mapping[str, float] = {}
     change: Change | None = None
     configure: Mapping[str, Any] = {}
+    acting: tuple[str, float] | None = None
 
 
 def rotors(change: Callable[[np.ndarray], np.ndarray], late: float = 0.0) -> Change:
@@ -148,6 +152,12 @@ def marker(axis: str, wrong: float) -> Plant:
                  configure={"optitrack marker cg offset": {k: str(v) for k, v in place.items()}})  # fmt: skip
 
 
+def acting(cause: str, size: float, parameter: str = "", *rivals: str) -> Plant:
+    """A force or moment that the vehicle flew the same path in spite of."""
+    value = 1.0 + size if parameter == "factor" else size
+    return Plant((cause, *rivals), {parameter: value} if parameter else {}, acting=(cause, size))
+
+
 # as the set's configuration has them: kg, kg m2, m
 MASS, INERTIA, MARKER = 0.433, (0.000865, 0.00107, 0.00171), {"x": 0.0, "y": -0.01, "z": -0.048}
 SCALE, LATE, TURNED = ("rotor_speed_scale", "thrust_factor"), ("telemetry_delay",), ("imu_misalignment",)
@@ -190,6 +200,15 @@ PLANTS: dict[str, Plant] = {
         ("rotor_effectiveness", "inertia"), {"rotor4": 1.04**-2.0}, one_rotor(4, 1.04).change,
         inertia(1.2, 1.2, 1.2).configure,
     ),
+    # sizes: those that hidden.py draws about, and twice as much
+    **{f"{cause} of {size:g}": acting(cause, size, name) for cause, name, *sizes in (
+        ("rotor_drag", "k", 8e-6, 1.6e-5), ("body_drag", "c", 0.02, 0.04), ("blade_flapping", "k", 3e-7, 6e-7),
+        ("translational_lift", "k", 0.01, 0.02), ("axial_inflow", "k", 2e-5, 4e-5), ("ground_effect", "c", 4.0, 8.0),
+        ("rotor_interference", "k", 0.1, 0.2), ("thrust_drift", "rate", 0.001, 0.002),
+        ("thrust_factor", "factor", 0.04, 0.08), ("rotor_gyroscopic", "inertia", 1e-6, 2e-6),
+        ("cg_offset", "x", 0.003, 0.006), ("tether", "k", 0.1, 0.2),
+    ) for size in sizes},
+    **{f"wind of {size:g} N": acting("wind", size) for size in (0.05, 0.1)},
 }  # fmt: skip
 
 
@@ -228,15 +247,23 @@ def draw(name: str, bed: Path, telemetry: bool, everywhere: bool) -> dict[str, A
     plant, flights, gather = PLANTS[name], find_flights(bed), importing.gather
     rows = (*FIRST, *SECOND) if everywhere else SECOND
     planted = {flights[row].source["flight"] for row in rows}
+    act, import_flight = None, hidden.import_flight
+    if plant.acting is not None:
+        before = {flights[row].source["flight"]: processed(flights[row], row in SECOND) for row in rows}
+        act = planted_forces.planted(before, *plant.acting)
 
     def gather_planted(recording: Any, where: str, *others: Any) -> Onboard:
         board = gather(recording, where, *others)
         board = board if telemetry else without_speeds(board)
         return plant.change(board) if plant.change is not None and where in planted else board
 
+    def import_planted(source: Mapping[str, Any], *others: Any) -> tuple[pd.DataFrame, dict[str, Any]]:
+        frame, about = import_flight(source, *others)
+        return (act(frame, source["flight"]) if act is not None and source["flight"] in planted else frame), about
+
     for row in rows:
         flights[row].quadrotor.update(copy.deepcopy(plant.configure))
-    importing.gather = gather_planted
+    importing.gather, hidden.import_flight = gather_planted, import_planted
     try:
         flown = {row: processed(recorded, row in SECOND) for row, recorded in flights.items()}
         model = Model(identified([flown[row] for row in FIRST]))
@@ -244,7 +271,7 @@ def draw(name: str, bed: Path, telemetry: bool, everywhere: bool) -> dict[str, A
         *learned, held = [(flights[row], flown[row]) for row in compared]
         document, _ = seek(learned, held, model, "none" if everywhere else "given", SETTINGS)
     finally:
-        importing.gather = gather
+        importing.gather, hidden.import_flight = gather, import_flight
     return {k: document[k] for k in ("verdict", "summary", "effects", "ties", "unexplained", "losses", "candidates")}
 
 
