@@ -214,7 +214,8 @@ PLANTS: dict[str, Plant] = {
 
 # by commands alone a rotor's scale is that of its thrust, and what all rotors share may be of the battery
 BY_COMMANDS = {
-    SCALE: (*SCALE, "battery_sag", "thrust_curve", "thrust_drift"), LATE: ("motor_lag", "command_delay", "inflow_lag")
+    **dict.fromkeys((SCALE, SCALE[1:], ("thrust_drift",)), (*SCALE, "battery_sag", "thrust_curve", "thrust_drift")),
+    LATE: ("motor_lag", "command_delay", "inflow_lag"),
 }  # fmt: skip
 
 

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
-from scipy.signal import butter, sosfiltfilt
+from scipy.signal import butter, lfilter, sosfiltfilt
 from scipy.spatial.transform import Rotation
 
 from quasi.airframe import Airframe
@@ -23,7 +23,7 @@ LEAST_THRUST = 0.4  # of the weight: with less thrust no lean holds a force alon
 LEAST_SQUARE = 0.1  # of the squared speed in hover, that a rotor keeps
 GRAVITY = 9.81  # m/s2, of the weight that thrust is compared with
 Z, ALONG = np.array([0.0, 0.0, 1.0]), np.array([1.0, 1.0, 0.0])
-SPEEDS, COMMANDS = [f"w{i}" for i in range(1, 5)], [f"command{i}" for i in range(1, 5)]
+SPEEDS, COMMANDS, COMMANDED = ([name.format(i) for i in range(1, 5)] for name in ("w{}", "command{}", "w{}_CMD"))
 
 
 class Flown(NamedTuple):
@@ -96,12 +96,17 @@ def plant(imported: pd.DataFrame, filtered: pd.DataFrame, airframe: Airframe, ac
     attitude = Rotation.from_euler("ZYX", filtered[["yaw", "pitch", "roll"]].to_numpy())
     rates, speeds = slow(filtered[["p", "q", "r"]].to_numpy(), rate), filtered[SPEEDS].to_numpy()
     squares = slow(speeds**2, rate)
-    # per squared speed, as this recording has them: thrust from its mean; torque from how it varies about its own
-    measured, there = slow(filtered[["Fz", "Mz"]].to_numpy(), rate), filtered["valid"].to_numpy() > 0.5
-    one = -measured[there, 0].mean() / squares[there].sum(axis=1).mean()
-    torque = float(np.polyfit(-squares[there] @ airframe.spin, measured[there, 1], 1)[0])
-    hubs = airframe.hubs
-    per_square = np.array([-one * np.ones(4), -one * hubs[:, 1], one * hubs[:, 0], -torque * airframe.spin])
+    there, hubs, spin = filtered["valid"].to_numpy() > 0.5, airframe.hubs, airframe.spin
+    one, velocity = -filtered["Fz"][there].mean() / squares[there].sum(axis=1).mean(), filtered[["v", "u"]].to_numpy()
+    spun = -np.gradient(slow(speeds, rate), time, axis=0) @ spin
+    roll, pitch, yaw = (
+        _per_square(squares @ shape, other, filtered[moment].to_numpy(), there, rate)
+        for shape, other, moment in (
+            (-hubs[:, 1], (rates[:, 0], velocity[:, 0]), "Mx"), (hubs[:, 0], (rates[:, 1], velocity[:, 1]), "My"),
+            (-spin, (spun, rates[:, 2]), "Mz"),
+        )
+    )  # fmt: skip
+    per_square = np.array([-one * np.ones(4), -roll[0] * hubs[:, 1], pitch[0] * hubs[:, 0], -yaw[0] * spin])
     flown = Flown(
         time, filtered[["x", "y", "z"]].to_numpy(), slow(filtered[["u", "v", "w"]].to_numpy(), rate), rates, attitude,
         slow(speeds, rate), one * squares, airframe,
@@ -116,13 +121,18 @@ def plant(imported: pd.DataFrame, filtered: pd.DataFrame, airframe: Airframe, ac
     turn = _rates(lean, rate)
     after = lean.inv().apply(rates) + turn
     more = _moment(after, airframe.inertia, rate) - _moment(rates, airframe.inertia, rate) - turned
+    # a change of yaw moment begins with what spins the rotors up
+    more[:, 2] = _lagged(more[:, 2], rate * yaw[1] / yaw[0] / (2.0 * speeds[there].mean()))
     change = np.column_stack([-(np.linalg.norm(wanted, axis=1) - total), more])
     square = speeds**2 + np.linalg.solve(per_square, change.T).T
     hover = airframe.mass * GRAVITY / (4.0 * one)
     made = imported.copy()
     factor = np.sqrt(np.maximum(square, LEAST_SQUARE * hover) / np.maximum(speeds**2, LEAST_SQUARE * hover))
-    made[SPEEDS] = imported[SPEEDS].to_numpy() * factor
-    made[COMMANDS] = _commands(imported[COMMANDS].to_numpy(), speeds, speeds * factor, rate)
+    if set(SPEEDS) <= set(imported):
+        made[SPEEDS] = imported[SPEEDS].to_numpy() * factor
+    for names in (COMMANDS, COMMANDED):
+        if set(names) <= set(imported):
+            made[names] = _commands(imported[names].to_numpy(), speeds, speeds * factor, rate)
     made[["ax", "ay", "az"]] = lean.inv().apply(imported[["ax", "ay", "az"]].to_numpy(copy=True))
     made[["p", "q", "r"]] = lean.inv().apply(imported[["p", "q", "r"]].to_numpy(copy=True)) + turn
     made[["u", "v", "w"]] = lean.inv().apply(imported[["u", "v", "w"]].to_numpy(copy=True))
@@ -130,6 +140,20 @@ def plant(imported: pd.DataFrame, filtered: pd.DataFrame, airframe: Airframe, ac
         if set(names) <= set(imported):
             made[names] = (Rotation.from_euler("ZYX", imported[names].to_numpy(copy=True)) * lean).as_euler("ZYX")
     return made
+
+
+def _per_square(
+    cause: np.ndarray, others: tuple[np.ndarray, ...], moment: np.ndarray, there: np.ndarray, rate: float
+) -> np.ndarray:  # fmt: skip
+    """Moment per squared speed, and per unit of the others, as this recording has them."""
+    columns = slow(np.column_stack([cause, *others, moment]), rate)[there]
+    return np.linalg.lstsq(np.column_stack([columns[:, :-1], np.ones(len(columns))]), columns[:, -1], rcond=None)[0]
+
+
+def _lagged(values: np.ndarray, samples: float) -> np.ndarray:
+    """First-order lag of a time constant in samples; none where it is not positive."""
+    kept = float(np.exp(-1.0 / samples)) if samples > 0.0 else 0.0
+    return lfilter([1.0 - kept], [1.0, -kept], values, zi=[kept * values[0]])[0]
 
 
 def _lean(wanted: np.ndarray) -> Rotation:
@@ -175,6 +199,15 @@ def _lost(flown: Flown) -> np.ndarray:
     return -(inflow / (0.16 + inflow))[:, None] * np.maximum(behind, 0.0) ** 2 / (speed[:, None] + 1e-6)
 
 
+def _carried(flown: Flown, arm: np.ndarray) -> Wrench:
+    """What a centre of gravity adds that stands `arm` from the point that flew the path: its own acceleration, and the
+    moment of the thrust about it."""
+    rates = flown.rates
+    turning = np.gradient(rates, flown.time, axis=0)
+    accelerated = np.cross(turning, arm) + np.cross(rates, np.cross(rates, arm))
+    return -flown.airframe.mass * accelerated, -np.cross(arm, -flown.thrust.sum(axis=1, keepdims=True) * Z)
+
+
 # id: what acts, for a size; docs/causes.md has the equations
 ACTING: Mapping[str, Callable[[float], Acting]] = {
     "wind": lambda n: in_room(lambda f: np.tile([n, 0.0, 0.0], (len(f.time), 1))),
@@ -195,9 +228,7 @@ ACTING: Mapping[str, Callable[[float], Acting]] = {
     "rotor_gyroscopic": lambda j: moment(
         lambda f: -j * (f.speeds @ f.airframe.spin)[:, None] * np.cross(f.rates, Z)
     ),
-    "cg_offset": lambda x: moment(
-        lambda f: -np.cross([x, 0.0, 0.0], -f.thrust.sum(axis=1, keepdims=True) * Z)
-    ),
+    "cg_offset": lambda x: lambda f: _carried(f, np.array([x, 0.0, 0.0])),
 }  # fmt: skip
 
 

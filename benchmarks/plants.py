@@ -20,6 +20,7 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import numpy as np
 import pandas as pd
+import planted_forces
 from hidden import identified
 from scipy.spatial.transform import Rotation
 from study import ROOT, run, show_found
@@ -48,6 +49,7 @@ FLIGHTS = {
     "run2-planted": (2, "compared"), "run3-planted": (3, "held out"),
 }  # fmt: skip
 Table = pd.DataFrame
+Act = Callable[[Table, str], Table]  # imported flight, its key -> the same with what acts on it
 
 
 class Plant(NamedTuple):
@@ -55,7 +57,7 @@ class Plant(NamedTuple):
 
     right  ids of which one must be named or stand in a tie, empty where this data cannot ask: then nothing may be named
     value  of the parameter that is stated, None where no single one is; change  of the table; configure  of quadrotor
-    and mass
+    and mass; acting  the cause of `planted_forces` and its size
     """
 
     right: tuple[str, ...]
@@ -64,6 +66,7 @@ class Plant(NamedTuple):
     change: Callable[[Table], None] | None = None
     configure: Callable[[dict[str, Any]], None] | None = None
     mass: float = MASS
+    acting: tuple[str, float] | None = None
 
 
 class Written(NamedTuple):
@@ -184,6 +187,11 @@ def inertia(roll_and_pitch: float, yaw: float, parameter: str, value: float) -> 
     return Plant(("inertia",), parameter, value, configure=configured(moment_of_inertia=wrong))
 
 
+def acting(cause: str, size: float, parameter: str) -> Plant:
+    """A force or moment that the vehicle flew the same path in spite of."""
+    return Plant((cause,), parameter, 1.0 + size if parameter == "factor" else size, acting=(cause, size))
+
+
 PLANTS: dict[str, Plant] = {
     "nothing": Plant(NOTHING),
     "accelerometer x 1.03": Plant(ACCELEROMETER, "z", 1.03, force_in_body(lambda f: 1.03 * f)),
@@ -228,13 +236,20 @@ PLANTS: dict[str, Plant] = {
     "imu rolled 3 deg": Plant(NOTHING, change=force_in_body(lambda f: turned(f, (0.052, 0.0, 0.0)))),
     "gyro x 1.05": Plant(NOTHING, change=scaled(["wx", "wy", "wz"], 1.05)),
     "gyro x + 0.1": Plant(NOTHING, change=raised("wx", 0.1)),
+    # forces of some percent of the weight at 1 m/s
+    **{f"{cause} of {size:g}": acting(cause, size, name) for cause, name, size in (
+        ("rotor_drag", "k", 4e-6), ("body_drag", "c", 0.02), ("blade_flapping", "k", 2e-8),
+        ("translational_lift", "k", 0.015), ("axial_inflow", "k", 4e-6), ("ground_effect", "c", 4.0),
+        ("rotor_interference", "k", 0.2), ("thrust_drift", "rate", 0.002), ("thrust_factor", "factor", 0.08),
+        ("cg_offset", "x", 0.002), ("tether", "k", 0.02), ("wind", "", 0.02),
+    )},
 }  # fmt: skip
 
 
 def read(
     data: Path, key: str, planted: Plant, folder: Path, written: Written
-) -> tuple[Flown, dict[str, Any], dict[str, Any]]:
-    """A run imported and filtered, with its source and quadrotor for another import."""
+) -> tuple[Flown, dict[str, Any], dict[str, Any], Act | None]:
+    """A run imported and filtered, with its source, quadrotor and what acts on it for another import."""
     run_number, role = written.flights[key]
     table = pd.read_csv(data / f"nanodrone/square_run{run_number}.csv")
     first, last = (round(share * len(table)) for share in written.parts.get(key, (0.0, 1.0)))
@@ -258,16 +273,22 @@ def read(
         "capture": None, "log number": None,
     }  # fmt: skip
     airframe = read_airframe(quadrotor, quadrotor["file"], mass)
-    return processed(source, quadrotor, airframe, role != "reference", None), source, quadrotor
+    flown = processed(source, quadrotor, airframe, role != "reference", None)
+    if plant is not None and plant.acting is not None:
+        act = planted_forces.planted({key: flown}, *plant.acting)
+        return processed(source, quadrotor, airframe, flown.compared, None, act), source, quadrotor, act
+    return flown, source, quadrotor, None
 
 
 def processed(
     source: Mapping[str, Any], quadrotor: Mapping[str, Any], airframe: Any, compared: bool,
-    calibration: Mapping[str, Any] | None,
+    calibration: Mapping[str, Any] | None, act: Act | None = None,
 ) -> Flown:  # fmt: skip
-    """A flight imported and filtered as the example's processing configuration asks."""
+    """A flight imported, with what acts on it, and filtered as the example's processing configuration asks."""
     options = read_json(EXAMPLE / "config/processing.json")
     imported, about = import_flight(source, quadrotor, options["data importing"], calibration)
+    if act is not None:
+        imported = act(imported, source["flight"])
     made = filter_flight(imported, about, airframe, options["data filtering"])
     return Flown(source["flight"], compared, imported, about, made.with_gravity, made.metadata, airframe)
 
@@ -283,8 +304,8 @@ def draw(name: str, data: Path, written: Written = AS_IT_IS) -> dict[str, Any]:
         def again(flown: Flown, calibration: Mapping[str, Any] | None) -> Flown:
             if calibration is None:
                 return flown
-            _, source, quadrotor = made[flown.key]
-            return processed(source, quadrotor, flown.airframe, flown.compared, calibration)
+            _, source, quadrotor, act = made[flown.key]
+            return processed(source, quadrotor, flown.airframe, flown.compared, calibration, act)
 
         learning = [f for k, f in flights.items() if roles[k] != "held out"]
         found, _ = sensors_and_drive.examine(learning, model.document, SETTINGS, effects, again, 1)
