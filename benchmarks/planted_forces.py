@@ -112,18 +112,18 @@ def plant(imported: pd.DataFrame, filtered: pd.DataFrame, airframe: Airframe, ac
         slow(speeds, rate), one * squares, airframe,
     )  # fmt: skip
     pushed, turned = (slow(values, rate) for values in acting(flown))
-    total = one * squares.sum(axis=1)
-    wanted = -pushed
-    wanted[:, 2] -= total
-    least = LEAST_THRUST * airframe.mass * GRAVITY
-    along = slow(np.column_stack([wanted[:, :2], np.minimum(wanted[:, 2], -least)]), rate)
-    lean = _lean(along * (total > 0.5 * least)[:, None] + [0.0, 0.0, -1e-3 * least])
+    # what acts besides the thrust keeps its share along the body's axes, and the sum of all its direction in the room
+    total = slow(filtered[["Fx", "Fy", "Fz"]].to_numpy(), rate)
+    wanted = total - pushed
+    along = -np.sqrt(np.maximum((wanted**2).sum(axis=1) - (total[:, :2] ** 2).sum(axis=1), 0.0))
+    least = np.maximum(LEAST_THRUST * airframe.mass * GRAVITY + total[:, 2], 0.0)[:, None] * -Z
+    lean = _lean(slow(np.column_stack([total[:, :2], along]) + least, rate), slow(wanted + least, rate))
     turn = _rates(lean, rate)
     after = lean.inv().apply(rates) + turn
     more = _moment(after, airframe.inertia, rate) - _moment(rates, airframe.inertia, rate) - turned
     # a change of yaw moment begins with what spins the rotors up
     more[:, 2] = _lagged(more[:, 2], rate * yaw[1] / yaw[0] / (2.0 * speeds[there].mean()))
-    change = np.column_stack([-(np.linalg.norm(wanted, axis=1) - total), more])
+    change = np.column_stack([along - total[:, 2], more])
     square = speeds**2 + np.linalg.solve(per_square, change.T).T
     hover = airframe.mass * GRAVITY / (4.0 * one)
     made = imported.copy()
@@ -156,12 +156,12 @@ def _lagged(values: np.ndarray, samples: float) -> np.ndarray:
     return lfilter([1.0 - kept], [1.0, -kept], values, zi=[kept * values[0]])[0]
 
 
-def _lean(wanted: np.ndarray) -> Rotation:
-    """The smallest turns that bring the thrust axis, -z of the body, along forces (n, 3)."""
-    to = wanted / np.linalg.norm(wanted, axis=1, keepdims=True)
-    axis = np.cross([0.0, 0.0, -1.0], to)
+def _lean(before: np.ndarray, after: np.ndarray) -> Rotation:
+    """The smallest turns that bring forces (n, 3) along others."""
+    first, last = (v / np.linalg.norm(v, axis=1, keepdims=True) for v in (before, after))
+    axis, cosine = np.cross(first, last), np.sum(first * last, axis=1, keepdims=True)
     sine = np.linalg.norm(axis, axis=1, keepdims=True)
-    return Rotation.from_rotvec(axis / np.maximum(sine, 1e-12) * np.arctan2(sine, -to[:, 2:]))
+    return Rotation.from_rotvec(axis / np.maximum(sine, 1e-12) * np.arctan2(sine, cosine))
 
 
 def _rates(lean: Rotation, rate: float) -> np.ndarray:
