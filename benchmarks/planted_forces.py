@@ -28,7 +28,8 @@ SPEEDS, COMMANDS, COMMANDED = ([name.format(i) for i in range(1, 5)] for name in
 
 class Flown(NamedTuple):
     """What a planted force may depend on, per sample, slow: time (n,) s; place (n, 3) m, earth NED; velocity (n, 3) m/s
-    and rates (n, 3) rad/s, body FRD; attitude; speeds (n, 4) rad/s; thrust (n, 4) N; vehicle."""
+    and rates (n, 3) rad/s, body FRD; attitude; speeds (n, 4) rad/s; thrust (n, 4) N; force (n, 3) N, of all that acts,
+    body FRD; vehicle."""
 
     time: np.ndarray
     place: np.ndarray
@@ -37,6 +38,7 @@ class Flown(NamedTuple):
     attitude: Rotation
     speeds: np.ndarray
     thrust: np.ndarray
+    force: np.ndarray
     airframe: Airframe
 
     @property
@@ -107,13 +109,13 @@ def plant(imported: pd.DataFrame, filtered: pd.DataFrame, airframe: Airframe, ac
         )
     )  # fmt: skip
     per_square = np.array([-one * np.ones(4), -roll[0] * hubs[:, 1], pitch[0] * hubs[:, 0], -yaw[0] * spin])
+    total = slow(filtered[["Fx", "Fy", "Fz"]].to_numpy(), rate)
     flown = Flown(
         time, filtered[["x", "y", "z"]].to_numpy(), slow(filtered[["u", "v", "w"]].to_numpy(), rate), rates, attitude,
-        slow(speeds, rate), one * squares, airframe,
+        slow(speeds, rate), one * squares, total, airframe,
     )  # fmt: skip
     pushed, turned = (slow(values, rate) for values in acting(flown))
     # what acts besides the thrust keeps its share along the body's axes, and the sum of all its direction in the room
-    total = slow(filtered[["Fx", "Fy", "Fz"]].to_numpy(), rate)
     wanted = total - pushed
     along = -np.sqrt(np.maximum((wanted**2).sum(axis=1) - (total[:, :2] ** 2).sum(axis=1), 0.0))
     least = np.maximum(LEAST_THRUST * airframe.mass * GRAVITY + total[:, 2], 0.0)[:, None] * -Z
@@ -201,11 +203,11 @@ def _lost(flown: Flown) -> np.ndarray:
 
 def _carried(flown: Flown, arm: np.ndarray) -> Wrench:
     """What a centre of gravity adds that stands `arm` from the point that flew the path: its own acceleration, and the
-    moment of the thrust about it."""
+    moment of all forces about it."""
     rates = flown.rates
     turning = np.gradient(rates, flown.time, axis=0)
     accelerated = np.cross(turning, arm) + np.cross(rates, np.cross(rates, arm))
-    return -flown.airframe.mass * accelerated, -np.cross(arm, -flown.thrust.sum(axis=1, keepdims=True) * Z)
+    return -flown.airframe.mass * accelerated, -np.cross(arm, flown.force)
 
 
 # id: what acts, for a size; docs/causes.md has the equations
