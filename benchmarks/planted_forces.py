@@ -178,17 +178,14 @@ def _moment(rates: np.ndarray, inertia: np.ndarray, rate: float) -> np.ndarray:
 
 
 def _commands(commands: np.ndarray, before: np.ndarray, after: np.ndarray, rate: float) -> np.ndarray:
-    """Commands that make rotors follow other speeds, as late as they followed: about the slope of the recording."""
-    made = commands.copy()
+    """Commands that make rotors follow other speeds: those that a first-order motor needs, as the recording has it."""
+    made, change = commands.copy(), after - before
     for k in range(4):
         there = np.isfinite(commands[:, k]) & np.isfinite(before[:, k])
-        centred = before[there, k] - before[there, k].mean()
-        shares = commands[there, k] - commands[there, k].mean()
-        lags = np.arange(int(0.1 * rate))
-        late = int(np.argmax([shares[: len(shares) - n] @ centred[n:] / (len(shares) - n) for n in lags]))
-        ahead = shares[: len(shares) - late]
-        slope = float(ahead @ centred[late:] / (ahead @ ahead))
-        made[:, k] += np.roll(after[:, k] - before[:, k], -late) / slope
+        slow_speed, slow_command = slow(before[there, k], rate), slow(commands[there, k], rate)
+        columns = np.column_stack([slow_speed, slow_command, np.ones(there.sum())])
+        per_lag, gain, _ = np.linalg.lstsq(columns, rate * np.gradient(slow_speed), rcond=None)[0]
+        made[:, k] += (change[:, k] * -per_lag + rate * np.gradient(change[:, k])) / gain
     return made
 
 
