@@ -210,7 +210,7 @@ def _carried(flown: Flown, arm: np.ndarray) -> Wrench:
 # id: what acts, for a size; docs/causes.md has the equations
 ACTING: Mapping[str, Callable[[float], Acting]] = {
     "wind": lambda n: in_room(lambda f: np.tile([n, 0.0, 0.0], (len(f.time), 1))),
-    "tether": lambda k: in_room(lambda f: -k * (f.place - f.place[len(f.time) // 2])),
+    "tether": lambda k: in_room(lambda f: -k * f.place),
     "body_drag": lambda c: force(lambda f: -c * np.linalg.norm(f.velocity, axis=1, keepdims=True) * f.velocity),
     "rotor_drag": lambda k: lambda f: f.at_the_hubs(-k * f.speeds[:, :, None] * f.at_hubs * ALONG),
     "translational_lift": lambda k: lambda f: f.of_thrusts(0.25 * k * np.sum(f.at_hubs**2 * ALONG, axis=2)),

@@ -5,7 +5,7 @@ weight is none of these. At one heading and one place the cause of a horizontal 
 accelerometer bias all push alike. A vertical one is another mass, another thrust or another scale of the accelerometer.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -13,6 +13,7 @@ from scipy.stats import chi2
 
 from quasi.attitude import GRAVITY, rotate
 from quasi.gap.effect import Effect
+from quasi.gap.flights.covariates import EVERYWHERE
 from quasi.gap.flights.evidence import Evidence
 from quasi.gap.levels.forces.nuisance import FORCE_BIAS, MASS_SPREAD, SESSION_SEATING, THRUST_SPREAD
 
@@ -20,11 +21,13 @@ Residual = Callable[[Evidence], np.ndarray]
 
 
 class Load(NamedTuple):
-    """A direction of a constant force: its earth axes by name, causes that push so, others that would explain it where
-    they are named, what settles the tie, and the share of the weight by which flights differ anyway (standard
-    deviation). A model is identified with some vertical force, so that only a change of it shows."""
+    """A direction of a constant force: its earth axes by name, those of a level vehicle, causes that push so, others
+    that would explain it where they are named, what settles the tie, and the share of the weight by which flights
+    differ anyway (standard deviation). A model is identified with some vertical force, so that only a change of it
+    shows."""
 
     axes: dict[str, int]
+    channels: tuple[str, ...]
     causes: tuple[str, ...]
     also: tuple[str, ...]
     tie_breaker: str
@@ -35,6 +38,7 @@ class Load(NamedTuple):
 LOADS = (
     Load(
         {"north": 0, "east": 1},
+        ("Fx", "Fy"),
         ("wind", "tether", "accelerometer_bias"),
         ("room_tilt", "imu_misalignment", "mocap_misalignment"),
         "hover at several headings and at several places: wind keeps its direction in the room, an accelerometer bias "
@@ -43,6 +47,7 @@ LOADS = (
     ),
     Load(
         {"down": 2},
+        ("Fz",),
         ("mass", "thrust_factor", "rotor_speed_scale", "accelerometer_scale"),
         (
             "rotor_effectiveness",
@@ -64,12 +69,13 @@ LOADS = (
 
 def constant_force_ties(
     compared: Sequence[Evidence], reference: Sequence[Evidence], left: Residual, named: Sequence[str],
-    effects: Mapping[str, Effect], level: float, share: float,
+    effects: Mapping[str, Effect], level: float, share: float, shown: Collection[str] = (),
 ) -> list[dict[str, Any]]:  # fmt: skip
     """Tie entries of diagnosis.json where the compared flights feel a constant force.
 
     left   residual (n, 6) of a flight under the extended model; named  causes that have a name or stand in a tie
-    level  probability of nothing below which the force is significant; share  of the weight that is material
+    level  probability of nothing below which the force is significant; share  of the weight that is material; shown
+    axes on which held-out flights show a constant error that no cause explains: a smaller force is material there
     Means are taken in earth axes (room) and are compared with what flights differ by and with the spread of the
     reference flights. Forces of the causes are not separable here, so each parameter is what the force would take.
     """
@@ -89,7 +95,8 @@ def constant_force_ties(
         away = means - center
         p = float(chi2.sf(np.sum((away / std) ** 2), away.size))
         sizes = np.linalg.norm(away, axis=1) / weights
-        if p >= level or np.median(sizes) < share or _varies(compared, left, axes, away):
+        small = np.median(sizes) < share and not set(load.channels) & set(shown)
+        if p >= level or small or _varies(compared, left, axes, away):
             continue
         mean, error = away.mean(axis=0), np.sqrt((std**2).mean(axis=0) / len(compared))
         force = {n: {"value": float(v), "std": float(s), "unit": "N"} for n, v, s in zip(load.axes, mean, error)}
@@ -100,6 +107,15 @@ def constant_force_ties(
                                 "by flight": {e.key: m.tolist() for e, m in zip(compared, away)}}}
         )  # fmt: skip
     return ties
+
+
+def in_ties(entry: Mapping[str, Any], ties: Sequence[Mapping[str, Any]]) -> bool:
+    """Whether an unexplained error of diagnosis.json is the constant force of a tie."""
+    pushed = {tuple(load.axes): load.channels for load in LOADS}
+    return any(
+        entry["where"] == EVERYWHERE and entry.get("since") == tie["since"] and entry["channel"] in channels
+        for tie in ties for names, channels in pushed.items() if set(names) <= set(tie.get("constant force", ()))
+    )  # fmt: skip
 
 
 def _varies(compared: Sequence[Evidence], left: Residual, axes: Sequence[int], away: np.ndarray) -> bool:

@@ -9,7 +9,7 @@ import pandas as pd
 
 from quasi.errors import DataError
 from quasi.gap.base_model import Worth, worth_of
-from quasi.gap.constant_loads import constant_force_ties
+from quasi.gap.constant_loads import constant_force_ties, in_ties
 from quasi.gap.effect import Effect, as_flown, room_of, vehicle_of
 from quasi.gap.entries import (
     candidates,
@@ -20,6 +20,7 @@ from quasi.gap.entries import (
     tie_entry,
     wrench_effect,
 )
+from quasi.gap.flights.covariates import EVERYWHERE
 from quasi.gap.flights.evidence import RATE, Evidence
 from quasi.gap.flights.gathering import gather_all
 from quasi.gap.flights.level import Flown
@@ -185,10 +186,12 @@ def diagnose(
         taken = [*(e["id"] for e in [*lower_effects, *named]), *(i for tie in ties for i in tie["ids"])]
         taken += ["rotor_effectiveness"] if why_rotor_is_enough(trim) else []
         left_over = after(extended, model)
+        constant = [u["channel"] for u in lists["unexplained"] if u["where"] == EVERYWHERE]
         ties += constant_force_ties(
             groups["compared"], groups["reference"], left_over, taken, asked_of,
-            min(found.level.values()), share,
+            min(found.level.values()), share, constant,
         )  # fmt: skip
+        lists["unexplained"] = [u for u in lists["unexplained"] if not in_ties(u, ties)]
     for level in ("sensors", "drive"):
         lists["candidates"] += levels[level]["candidates"]
         lists["cannot_be_asked"] += [c for c in levels[level]["cannot_be_asked"] if c["id"] not in asked_of_forces]

@@ -10,7 +10,7 @@ from test_gap_extension import flight as made
 
 from quasi.gap.base_model import worth_of
 from quasi.gap.catalogue import catalogue
-from quasi.gap.constant_loads import LOADS, constant_force_ties
+from quasi.gap.constant_loads import LOADS, constant_force_ties, in_ties
 from quasi.gap.diagnosis import verdict_of
 from quasi.gap.losses import Loss, drive_losses, only_loss, trim_is_usual
 from quasi.gap.report.wording import tie_sentence
@@ -163,6 +163,27 @@ def test_a_constant_force_far_beyond_trim_is_a_tie_and_trim_is_not(flights, shar
     assert tie["ids"] == list(LOADS[0].causes)
     assert tie["constant force"]["north"]["value"] == pytest.approx(share * compared[0].mass * 9.81, rel=0.02)
     assert tie["constant force"]["east"]["value"] == pytest.approx(0.0, abs=1e-6)
+
+
+def test_a_constant_error_that_held_out_flights_show_is_a_tie_however_small(flights):
+    """Some percent of the weight are less than the material share of it, and most of the error of a gentle flight."""
+    evidence = [replace_attitude(e) for e in flights[1]]
+    compared, reference = evidence[:2], evidence[2:]
+    pushed = {e.key for e in compared}
+
+    def ties(shown):
+        def left(e):
+            return e.only("Fx", 0.03 * e.mass * 9.81 if e.key in pushed else 0.0)
+
+        return constant_force_ties(compared, reference, left, [], catalogue(), 1e-3, 0.05, shown)
+
+    assert ties([]) == ties(["Fz", "My"]) == []
+    found = ties(["Fx"])
+    assert [t["ids"] for t in found] == [list(LOADS[0].causes)]
+    entry = {"channel": "Fx", "where": "everywhere", "since": "changed"}
+    assert in_ties(entry, found)
+    for other in ({"channel": "Fz"}, {"where": "speed"}, {"since": "always"}):
+        assert not in_ties(entry | other, found)
 
 
 @pytest.mark.parametrize(("share", "references"), [(0.0, 2), (-0.03, 2), (-0.1, 2), (0.1, 2), (-0.1, 1)])
