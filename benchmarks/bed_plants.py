@@ -1,7 +1,7 @@
 """Faults planted in raw logs of an independent generator: are they named, with their size, and nothing else?
 
     python benchmarks/bed_plants.py BED [--plants mass ...] [--commands-only] [--everywhere]
-                                    [--out results/benchmarks/bed_plants] [--record]
+                                    [--forces] [--out results/benchmarks/bed_plants] [--record]
 
 BED is a fault-free set (a folder or archive, see beds.py). Rows 2 to 5 of its logbook make the model and are the
 reference flights; rows 6 to 9 get the plant, and row 9 is held out. A plant changes a stream of the raw log as it is
@@ -9,6 +9,9 @@ read, or the configured vehicle: no physics of ours is involved. One JSON per pl
 
 --commands-only withholds the rotor speeds of every flight. What is planted in speeds is then planted in the commands: a
 rotor that is commanded more for the same thrust is a weak one.
+
+--forces plants forces and moments instead: the recording of a vehicle that flew the same path in spite of them, see
+planted_forces.py.
 
 --everywhere plants the fault in all rows, and takes no reference flights: the model is made of what it is asked about.
 Most of a fault then is in the model. It is right to name nothing, or the plant, and wrong to name anything else.
@@ -305,15 +308,18 @@ def main() -> None:
     parser.add_argument("bed", type=Path)
     parser.add_argument("--plants", nargs="*", default=[], help="parts of names; all without")
     parser.add_argument("--commands-only", action="store_true", help="withhold the rotor speeds")
+    parser.add_argument("--forces", action="store_true", help="plant forces and moments")
     parser.add_argument("--everywhere", action="store_true", help="plant in all rows, no row is a reference")
     parser.add_argument("--out", type=Path, default=ROOT / "results/benchmarks/bed_plants")
     parser.add_argument("--record", action="store_true", help="store the figures for docs/measured.md")
     arguments = parser.parse_args()
     bed = unpack(arguments.bed, arguments.out)
-    names = [n for n in PLANTS if not arguments.plants or any(p in n for p in arguments.plants)]
+    names = [n for n, plant in PLANTS.items() if (plant.acting is not None) == arguments.forces]
+    names = [n for n in names if not arguments.plants or any(p in n for p in arguments.plants)]
     telemetry, everywhere = not arguments.commands_only, arguments.everywhere
-    kind = "bed_plants" + ("_by_commands" if arguments.commands_only else "") + ("_everywhere" if everywhere else "")
-    out = arguments.out / kind.removeprefix("bed_plants").strip("_").replace("by_commands", "commands-only")
+    way = ["by_commands"] * arguments.commands_only + ["everywhere"] * everywhere
+    kind = "_".join(["bed_forces" if arguments.forces else "bed_plants", *way])
+    out = arguments.out / "_".join(way).replace("by_commands", "commands-only")
     results = run(
         [{"plant": n} for n in names], lambda s: draw(s["plant"], bed, telemetry, everywhere), out, Path(__file__)
     )  # fmt: skip
