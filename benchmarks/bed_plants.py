@@ -211,6 +211,11 @@ PLANTS: dict[str, Plant] = {
         ("thrust_factor", "factor", 0.04, 0.08), ("rotor_gyroscopic", "inertia", 1e-6, 2e-6),
         ("cg_offset", "x", 0.003, 0.006), ("tether", "k", 0.1, 0.2),
     ) for size in sizes},
+    # as simulators have it that know no hubs
+    **{f"{cause} of {size:g} at the centre": Plant((cause,), {"k": size}, acting=(f"{name}_at_centre", size))
+       for cause, name, *sizes in (("rotor_drag", "drag", 8e-6, 1.6e-5), ("axial_inflow", "inflow", 2e-5, 4e-5),
+                                    ("translational_lift", "lift", 0.01, 0.02), ("ground_effect", "ground", 4.0, 8.0))
+       for size in sizes},
     **{f"wind of {size:g} N": acting("wind", size) for size in (0.05, 0.1)},
 }  # fmt: skip
 

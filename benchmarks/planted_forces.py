@@ -47,6 +47,11 @@ class Flown(NamedTuple):
         hubs = [self.attitude.apply(hub)[:, 2] + self.place[:, 2] for hub in self.airframe.hubs]
         return -np.stack(hubs, axis=1)
 
+    def near(self, c: float, height: np.ndarray) -> np.ndarray:
+        """Share of the thrust that rotors at a height above the floor make more."""
+        nearness = (self.airframe.radius / 4.0 / np.maximum(height, 0.02)) ** 2
+        return 1.0 / (1.0 - np.minimum(c * nearness, 0.6)) - 1.0
+
     @property
     def at_hubs(self) -> np.ndarray:
         """(n, 4, 3) m/s, velocity of each hub, body axes."""
@@ -213,11 +218,15 @@ ACTING: Mapping[str, Callable[[float], Acting]] = {
     "tether": lambda k: in_room(lambda f: -k * f.place),
     "body_drag": lambda c: force(lambda f: -c * np.linalg.norm(f.velocity, axis=1, keepdims=True) * f.velocity),
     "rotor_drag": lambda k: lambda f: f.at_the_hubs(-k * f.speeds[:, :, None] * f.at_hubs * ALONG),
+    "drag_at_centre": lambda k: force(lambda f: -k * f.speeds.sum(axis=1, keepdims=True) * f.velocity * ALONG),
     "translational_lift": lambda k: lambda f: f.of_thrusts(0.25 * k * np.sum(f.at_hubs**2 * ALONG, axis=2)),
     "axial_inflow": lambda k: lambda f: f.of_thrusts(k * f.speeds * f.at_hubs[:, :, 2]),
-    "ground_effect": lambda c: thrust(
-        lambda f: 1.0 / (1.0 - np.minimum(c * (f.airframe.radius / 4.0 / np.maximum(f.height, 0.02)) ** 2, 0.6)) - 1.0
+    "lift_at_centre": lambda k: force(lambda f: -k * np.sum(f.velocity**2 * ALONG, axis=1, keepdims=True) * Z),
+    "ground_at_centre": lambda c: force(
+        lambda f: -f.thrust.sum(axis=1, keepdims=True) * f.near(c, -f.place[:, 2:]) * Z
     ),
+    "inflow_at_centre": lambda k: force(lambda f: -k * f.speeds.sum(axis=1, keepdims=True) * f.velocity * Z),
+    "ground_effect": lambda c: thrust(lambda f: f.near(c, f.height)),
     "thrust_drift": lambda rate: thrust(lambda f: rate * np.tile(f.time[:, None], 4)),
     "thrust_factor": lambda share: thrust(lambda f: np.full((len(f.time), 4), share)),
     "rotor_interference": lambda k: thrust(lambda f: k * _lost(f)),

@@ -20,7 +20,7 @@ from quasi.gap.entries import (
     tie_entry,
     wrench_effect,
 )
-from quasi.gap.flights.covariates import EVERYWHERE
+from quasi.gap.flights.covariates import EVERYWHERE, HEADING
 from quasi.gap.flights.evidence import RATE, Evidence
 from quasi.gap.flights.gathering import gather_all
 from quasi.gap.flights.level import Flown
@@ -186,7 +186,8 @@ def diagnose(
         taken = [*(e["id"] for e in [*lower_effects, *named]), *(i for tie in ties for i in tie["ids"])]
         taken += ["rotor_effectiveness"] if why_rotor_is_enough(trim) else []
         left_over = after(extended, model)
-        constant = [u["channel"] for u in lists["unexplained"] if u["where"] == EVERYWHERE]
+        # a constant force of the room goes by the heading along the body's axes
+        constant = [u["channel"] for u in lists["unexplained"] if u["where"] in (EVERYWHERE, HEADING)]
         ties += constant_force_ties(
             groups["compared"], groups["reference"], left_over, taken, asked_of,
             min(found.level.values()), share, constant,

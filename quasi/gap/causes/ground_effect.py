@@ -13,32 +13,40 @@ def _nearness(vehicle: Vehicle, rotor: int) -> str:
     return f"({number(vehicle.radius)}/(4*{kept}))^2"
 
 
+def _split(wrench: Terms) -> dict[str, Terms]:
+    # that rotors lower than others make more thrust levels the vehicle, which not every floor and frame shows
+    return {"c": {"Fz": wrench["Fz"]}, "levelling": {axis: wrench[axis] for axis in ("Mx", "My")}}
+
+
 def _terms(vehicle: Vehicle) -> dict[str, Terms]:
-    return {
-        "c": thrust_wrench(vehicle, [f"{number(vehicle.thrust)}*w{i + 1}^2*{_nearness(vehicle, i)}" for i in range(4)])
-    }
+    thrusts = [f"{number(vehicle.thrust)}*w{i + 1}^2*{_nearness(vehicle, i)}" for i in range(4)]
+    return _split(thrust_wrench(vehicle, thrusts))
 
 
 def _curved(vehicle: Vehicle, values: Values) -> Terms:
-    thrusts = []
-    for i in range(4):
-        whole = f"{number(values['c'])}*{_nearness(vehicle, i)}"
-        near = f"(0.5*({whole} + {number(MOST_GROUND_EFFECT)} - (({whole} - {number(MOST_GROUND_EFFECT)})^2)^0.5))"
-        thrusts.append(f"{number(vehicle.thrust)}*w{i + 1}^2*({near}/(1 - {near}))")
-    return thrust_wrench(vehicle, thrusts)
+    made: Terms = {}
+    for name in ("c", "levelling"):
+        thrusts = []
+        for i in range(4):
+            whole = f"{number(values[name])}*{_nearness(vehicle, i)}"
+            near = f"(0.5*({whole} + {number(MOST_GROUND_EFFECT)} - (({whole} - {number(MOST_GROUND_EFFECT)})^2)^0.5))"
+            thrusts.append(f"{number(vehicle.thrust)}*w{i + 1}^2*({near}/(1 - {near}))")
+        made |= _split(thrust_wrench(vehicle, thrusts))[name]
+    return made
 
 
 EFFECT = Effect(
     id="ground_effect",
     level="forces",
     sentence="the rotors make more thrust near the floor",
-    equation="T/T0 = 1/(1 - c (R/4h)^2), h height of each hub",
+    equation="T/T0 = 1/(1 - c (R/4h)^2), h height of each hub; levelling = c as far as lower rotors make more of it",
     source="Cheeseman & Bennett, The effect of the ground on a helicopter rotor in forward flight, ARC R&M 3021, 1955",
-    parameters={"c": Parameter("1", 0.0, "a", 0.0, 20.0, 3.0)},
+    parameters={"c": Parameter("1", 0.0, "a", 0.0, 20.0, 3.0), "levelling": Parameter("1", 0.0, "a", 0.0, 20.0)},
     channels=("Fz", "Mx", "My"),
     rivals=("tether", "proximity"),
     tie_breaker="a staircase of hovers from 2 cm to 50 cm",
     terms=_terms,
     nonlinear_terms=_curved,
+    parts="first",
     absent_when_healthy=True,
 )
