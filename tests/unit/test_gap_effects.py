@@ -120,11 +120,11 @@ def residual_of(ground, effects, seed=3, spread=1.0):
 
 
 CASES = {
-    "rotor_drag": ({"k": 1e-5}, {"k": 1e-5, "lever": 0.0}, 0.02),  # the hubs' height is configured
+    "rotor_drag": ({"k": 1e-5}, {"k": 1e-5, "lever": 0.0, "yaw": 1e-5}, 0.02),  # the hubs' height is configured
     "body_drag": ({"c": 0.02}, {"c": 0.02, "cz": -0.02 * 0.004}, 0.01),  # it acts 4 mm above the cg
     "blade_flapping": ({"k": 3e-7}, {"k": 3e-7}, 0.02),
     "translational_lift": ({"k": 0.01}, {"k": 0.01}, 0.06),  # some is lost in the wakes of the rotors ahead
-    "axial_inflow": ({"k": 3e-5}, {"k": 3e-5}, 0.05),
+    "axial_inflow": ({"k": 3e-5}, {"k": 3e-5, "damping": 3e-5}, 0.05),
     "thrust_curve": ({"c1": 3e-5}, {"c1": 3e-5}, 0.05),
     "thrust_factor": ({"factor": 0.97}, {"factor": -0.03}, 0.2),
     "torque_factor": ({"factor": 1.2}, {"factor": 0.2}, 0.3),
@@ -135,7 +135,7 @@ CASES = {
     "rotor_acceleration_torque": ({"inertia": 2e-6}, {"inertia": 2e-6}, 0.02),
     "rotor_interference": ({"k": 0.1}, {"k": 0.1}, 0.2),
     "tether": ({"k": 0.2}, {"k": 0.2}, 0.02),
-    "ground_effect": ({"c": 2.0}, {"c": 2.0}, 0.15),
+    "ground_effect": ({"c": 2.0}, {"c": 2.0, "levelling": 2.0}, 0.15),
     "mass": ({"mass": 0.44}, None, 0.03),
     "inertia": ({"Ixx": 9e-4, "Ixz": 2e-5}, None, 0.1),
     "cg_offset": ({"x": 0.002, "y": -0.001, "z": 0.001}, {"x": 0.002, "y": -0.001, "z": 0.001}, 0.1),
@@ -359,9 +359,10 @@ def test_a_curved_effect_starts_with_its_slope(ground):
     evidence = residual_of(ground, {})
     vehicle = vehicle_of(ground[2], evidence.mass)
     effect = CATALOGUE["ground_effect"]
-    slope = columns_of(effect, evidence, vehicle, {"c": 0.0})["c"]
-    small = wrench_of(effect.nonlinear_terms(vehicle, {"c": 1e-4}), evidence)
-    np.testing.assert_allclose(small, slope * 1e-4, rtol=1e-2, atol=1e-12)
+    slopes = columns_of(effect, evidence, vehicle, {})
+    for name, slope in slopes.items():
+        small = wrench_of(effect.nonlinear_terms(vehicle, {name: 1e-4}), evidence)
+        np.testing.assert_allclose(small, slope * 1e-4, rtol=1e-2, atol=1e-12)
 
 
 def test_a_user_adds_a_cause_with_one_file(tmp_path):

@@ -21,6 +21,8 @@ from quasi.model.model import Model
 
 ASKED = {n: catalogue()[n] for n in ("ground_effect", "thrust_factor", "rotor_acceleration_torque", "wind")}
 
+WHOLE = {"c": 8.0, "levelling": 8.0}
+
 
 @pytest.fixture(scope="module")
 def case(ground):  # noqa: F811
@@ -29,7 +31,7 @@ def case(ground):  # noqa: F811
     vehicle = vehicle_of(model)
 
     def made(seed, affected):
-        plain = low(ground, seed, "ground_effect", {"c": 8.0}, affected)
+        plain = low(ground, seed, "ground_effect", WHOLE, affected)
         if not affected:
             return plain
         turned = whole_of(ASKED["rotor_acceleration_torque"], plain, vehicle, {"inertia": 1e-6})
@@ -39,10 +41,10 @@ def case(ground):  # noqa: F811
     learning, held = [made(k, flag) for k, flag in enumerate(compared)], [made(90, True)]
     settings = {"extended model ID": "more"}
     case = Case(model, ASKED, vehicle, learning, compared, held, {}, [], False, settings)
-    values = [{"ground_effect": {"c": 8.0}} if flag else {} for flag in compared]
+    values = [{"ground_effect": WHOLE} if flag else {} for flag in compared]
     study = gather_design(learning, ASKED, vehicle, values)
-    test = study.mixed(range(8), compared).test(Candidate("ground_effect", "changed", (0,)))
-    named = [Cause(EFFECTS["ground_effect"], "changed", {"c": 8.0}, {"c": 0.1}, test, [])]
+    test = study.mixed(range(8), compared).test(Candidate("ground_effect", "changed", (0, 1)))
+    named = [Cause(EFFECTS["ground_effect"], "changed", WHOLE, {"c": 0.1, "levelling": 0.1}, test, [])]
     old = wrench_score(held, before).mean()
     return case, study, named, old, wrench_score([flight(ground, 90)], before).mean()
 

@@ -28,7 +28,7 @@ def _curved(vehicle: Vehicle, values: Values) -> Terms:
     for name in ("c", "levelling"):
         thrusts = []
         for i in range(4):
-            whole = f"{number(values[name])}*{_nearness(vehicle, i)}"
+            whole = f"{number(values.get(name, 0.0))}*{_nearness(vehicle, i)}"
             near = f"(0.5*({whole} + {number(MOST_GROUND_EFFECT)} - (({whole} - {number(MOST_GROUND_EFFECT)})^2)^0.5))"
             thrusts.append(f"{number(vehicle.thrust)}*w{i + 1}^2*({near}/(1 - {near}))")
         made |= _split(thrust_wrench(vehicle, thrusts))[name]
