@@ -21,10 +21,10 @@ Residual = Callable[[Evidence], np.ndarray]
 
 
 class Load(NamedTuple):
-    """A direction of a constant force: its earth axes by name, those of a level vehicle, causes that push so, others
-    that would explain it where they are named, what settles the tie, and the share of the weight by which flights
-    differ anyway (standard deviation). A model is identified with some vertical force, so that only a change of it
-    shows."""
+    """A direction of a constant force: its earth axes by name, axes of the vehicle on which a smaller one counts as
+    well where held-out flights show it, causes that push so, others that would explain it where they are named, what
+    settles the tie, and the share of the weight by which flights differ anyway (standard deviation). A model is
+    identified with some vertical force, so that only a change of it shows; a small one may be a drift."""
 
     axes: dict[str, int]
     channels: tuple[str, ...]
@@ -47,7 +47,7 @@ LOADS = (
     ),
     Load(
         {"down": 2},
-        ("Fz",),
+        (),
         ("mass", "thrust_factor", "rotor_speed_scale", "accelerometer_scale"),
         (
             "rotor_effectiveness",
@@ -70,18 +70,20 @@ LOADS = (
 def constant_force_ties(
     compared: Sequence[Evidence], reference: Sequence[Evidence], left: Residual, named: Sequence[str],
     effects: Mapping[str, Effect], level: float, share: float, shown: Collection[str] = (),
+    suspected: Collection[str] = (),
 ) -> list[dict[str, Any]]:  # fmt: skip
     """Tie entries of diagnosis.json where the compared flights feel a constant force.
 
     left   residual (n, 6) of a flight under the extended model; named  causes that have a name or stand in a tie
     level  probability of nothing below which the force is significant; share  of the weight that is material; shown
-    axes on which held-out flights show a constant error that no cause explains: a smaller force is material there
+    axes on which held-out flights show a constant error that no cause explains: a smaller force is material there;
+    suspected  causes that are nearly significant: of those that would explain the force, they stand in the tie
     Means are taken in earth axes (room) and are compared with what flights differ by and with the spread of the
     reference flights. Forces of the causes are not separable here, so each parameter is what the force would take.
     """
     ties = []
     for load in LOADS:
-        asked = [c for c in load.causes if c in effects]
+        asked = [c for c in (*load.causes, *(n for n in load.also if n in suspected)) if c in effects]
         lacking = load.needs_references and len(reference) < 2
         if not compared or not asked or lacking or set(named) & {*load.causes, *load.also}:
             continue

@@ -46,6 +46,7 @@ from quasi.gap.materiality import Cause
 from quasi.gap.probability import add_probabilities
 from quasi.gap.report.wording import summary
 from quasi.gap.scores import scored
+from quasi.gap.selection import SUSPECT
 from quasi.gap.verdict import errors_beyond_references, judge_causes
 from quasi.model.extensions import configured_mass
 from quasi.model.model import AXES, Model
@@ -190,7 +191,7 @@ def diagnose(
         constant = [u["channel"] for u in lists["unexplained"] if u["where"] in (EVERYWHERE, HEADING)]
         ties += constant_force_ties(
             groups["compared"], groups["reference"], left_over, taken, asked_of,
-            min(found.level.values()), share, constant,
+            min(found.level.values()), share, constant, _suspected(lists["candidates"]),
         )  # fmt: skip
         lists["unexplained"] = [u for u in lists["unexplained"] if not in_ties(u, ties)]
     for level in ("sensors", "drive"):
@@ -355,6 +356,11 @@ def _gains(
         entry["gain"]["rollout"] = main and main["value"]
         entry["rollout channel"] = main and main["quantity"]
         entry["rollout gain"], entry["rollout gains"] = main, rows
+
+
+def _suspected(entries: Sequence[Mapping[str, Any]]) -> set[str]:
+    """Causes of a change that are nearly significant."""
+    return {c["id"] for c in entries if c["since"] == "changed" and c["p"] is not None and c["p"] < SUSPECT}
 
 
 def _refit_loses(case: Case, found: Found) -> bool:

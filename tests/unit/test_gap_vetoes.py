@@ -11,7 +11,7 @@ from test_gap_extension import flight as made
 from quasi.gap.base_model import worth_of
 from quasi.gap.catalogue import catalogue
 from quasi.gap.constant_loads import LOADS, constant_force_ties, in_ties
-from quasi.gap.diagnosis import verdict_of
+from quasi.gap.diagnosis import _suspected, verdict_of
 from quasi.gap.losses import Loss, drive_losses, only_loss, trim_is_usual
 from quasi.gap.report.wording import tie_sentence
 from quasi.gap.verdict import drowned, reject_losing_causes
@@ -206,6 +206,22 @@ def test_a_constant_vertical_force_beyond_what_flights_differ_by_is_a_tie(flight
     assert tie["since"] == "changed"
     assert tie["constant force"]["down"]["value"] == pytest.approx(share * compared[0].mass * 9.81, rel=0.02)
     assert tie_sentence(tie).startswith("A constant vertical force of 10 % of the weight pushes the vehicle (down = ")
+
+
+def test_what_is_nearly_significant_and_would_explain_a_constant_force_stands_in_its_tie(flights):
+    evidence = [replace_attitude(e) for e in flights[1]]
+    compared, reference = evidence[:2], evidence[2:4]
+    pushed = {e.key for e in compared}
+
+    def left(e):
+        return e.only("Fz", 0.1 * e.mass * 9.81 if e.key in pushed else 0.0)
+
+    suspected = ["thrust_drift", "body_drag"]
+    [tie] = constant_force_ties(compared, reference, left, [], catalogue(), 1e-3, 0.05, (), suspected)
+    assert tie["ids"] == [*LOADS[1].causes, "thrust_drift"]
+    entries = [{"id": n, "since": since, "p": p} for n, since, p in (
+        ("a", "changed", 0.002), ("b", "changed", 0.02), ("c", "always", 0.002), ("d", "changed", None))]  # fmt: skip
+    assert _suspected(entries) == {"a"}
 
 
 def test_a_force_that_drifts_is_no_constant_one(flights):
