@@ -25,7 +25,7 @@ class Worth(NamedTuple):
             return f"The base model is unusable: {self.wrong}."
         if not self.excluded:
             return ""
-        shares = ", ".join(f"{a} {100 * self.share[a]:.0f} %" for a in self.excluded)
+        shares = ", ".join(f"{a} {100 * self.share[a]:z.0f} %" for a in self.excluded)
         return (
             f"The base model explains next to nothing of {', '.join(self.excluded)} (share of the variance: {shares}); "
             "these axes were not used."

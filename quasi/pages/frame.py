@@ -41,7 +41,7 @@ VERDICT_CLASSES = {
 
 def escape(text: object) -> str:
     """Escape text for HTML."""
-    return html.escape(str(text))
+    return html.escape(str(text)).replace(" +- ", " ± ")  # messages of a terminal are ASCII
 
 
 def format_number(value: object, digits: int = 3) -> str:

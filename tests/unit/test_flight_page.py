@@ -9,6 +9,7 @@ import pytest
 from quasi.importing.streams import stream
 from quasi.pages import frame
 from quasi.pages.flight import (
+from quasi.pages.frame import escape
     compute_ranges,
     compute_saturation,
     derive_flight_verdict,
@@ -187,3 +188,7 @@ def test_stream_tells_rate_jitter_and_gaps():
     assert found["gap count"] == 1 and found["gaps"][0] == pytest.approx([1.99, 2.60])
     assert found["lost"] == pytest.approx(0.60)
     assert stream(t[:2]) is None
+
+
+def test_texts_of_a_terminal_are_typeset_and_escaped():
+    assert escape("0.66 +- 0.32 <b>") == "0.66 ± 0.32 &lt;b&gt;"

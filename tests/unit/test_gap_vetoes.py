@@ -8,7 +8,7 @@ import pytest
 from test_gap_extension import base_of
 from test_gap_extension import flight as made
 
-from quasi.gap.base_model import worth_of
+from quasi.gap.base_model import Worth, worth_of
 from quasi.gap.catalogue import catalogue
 from quasi.gap.constant_loads import LOADS, constant_force_ties, in_ties
 from quasi.gap.diagnosis import _suspected, verdict_of
@@ -222,6 +222,11 @@ def test_what_is_nearly_significant_and_would_explain_a_constant_force_stands_in
     entries = [{"id": n, "since": since, "p": p} for n, since, p in (
         ("a", "changed", 0.002), ("b", "changed", 0.02), ("c", "always", 0.002), ("d", "changed", None))]  # fmt: skip
     assert _suspected(entries) == {"a"}
+
+
+def test_a_share_just_below_nothing_is_no_negative_zero():
+    worth = Worth({"Fx": -0.0003, "Fy": -0.06}, ("Fx", "Fy"), "")
+    assert "Fx 0 %, Fy -6 %" in worth.sentence()
 
 
 def test_a_force_that_drifts_is_no_constant_one(flights):
