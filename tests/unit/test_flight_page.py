@@ -9,7 +9,6 @@ import pytest
 from quasi.importing.streams import stream
 from quasi.pages import frame
 from quasi.pages.flight import (
-from quasi.pages.frame import escape
     compute_ranges,
     compute_saturation,
     derive_flight_verdict,
@@ -191,4 +190,4 @@ def test_stream_tells_rate_jitter_and_gaps():
 
 
 def test_texts_of_a_terminal_are_typeset_and_escaped():
-    assert escape("0.66 +- 0.32 <b>") == "0.66 ± 0.32 &lt;b&gt;"
+    assert frame.escape("0.66 +- 0.32 <b>") == "0.66 ± 0.32 &lt;b&gt;"
