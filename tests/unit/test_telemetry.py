@@ -14,7 +14,7 @@ LEFT, FRONT = np.array([-1.0, -1.0, 1.0, 1.0]), np.array([-1.0, 1.0, -1.0, 1.0])
 IZ, DRAG, ROTOR = 1.7e-3, 1.8e-9, 7e-7
 
 
-def flight(age, seconds=40.0, yaw=1.0, seed=1):
+def flight(age, seconds=40.0, yaw=1.0, seed=1, noise=0.5):
     """Rotor speeds that vary as in flight, and the rates that follow, with an inflow lead in roll and pitch."""
     rng = np.random.default_rng(seed)
     t = np.arange(0.0, seconds, 1 / RATE)
@@ -30,7 +30,7 @@ def flight(age, seconds=40.0, yaw=1.0, seed=1):
     torque = -(speeds**2) @ SPIN * DRAG - acceleration @ SPIN * ROTOR
     rates[:, 2] = lfilter(trapezoid, [1, -(1 - 0.5 / RATE)], torque / IZ)
     rates += rng.normal(scale=0.006, size=rates.shape)
-    return t + age, speeds + rng.normal(scale=0.5, size=speeds.shape), t, rates
+    return t + age, speeds + rng.normal(scale=noise, size=speeds.shape), t, rates
 
 
 @pytest.mark.parametrize("age", [-0.002, 0.0, 0.0031, 0.012])
@@ -39,6 +39,21 @@ def test_planted_age_is_found_within_its_standard_error_whatever_roll_and_pitch_
     assert found.value == pytest.approx(age, abs=max(4 * found.std, 0.2e-3))
     assert found.std < 0.5e-3
     assert found.explained > 0.9
+
+
+@pytest.mark.parametrize("repeated", [1, 4])
+def test_noise_of_the_speeds_does_not_age_them(repeated):
+    """Noise makes the reaction to a rotor's acceleration look too small; later speeds would stand in for it."""
+    t_rotor, speeds, t, rates = flight(0.003, yaw=0.2, noise=40.0)
+    held = np.arange(len(t)) // repeated * repeated  # a logger that is faster than the telemetry repeats its values
+    found = rotor_age(t_rotor, speeds[held], t, rates)
+    assert found.value == pytest.approx(0.003, abs=3 * found.std)
+    assert found.std < 2e-3
+
+
+def test_an_age_beyond_those_that_are_tried_is_not_precise():
+    found = rotor_age(*flight(0.06))
+    assert found.std > 0.04
 
 
 def test_flight_without_yaw_is_honest_about_it():

@@ -25,6 +25,7 @@ TELEMETRY_BAND = 12.0  # Hz
 LONGEST_TELEMETRY_AGE = 0.15  # s
 AGE_GRID, AGE_BAND = 250.0, 30.0  # Hz
 AGES = np.arange(-0.010, 0.0401, 0.001)  # s, tried ages of the rotor telemetry
+NOISE_SHARE = 0.9  # of a combination of columns up to which motion is left: noise itself is known to some percent
 BLOCKS = 12  # pieces of a flight, for the standard error
 LEAST_FLYING = 5.0  # s
 
@@ -42,19 +43,26 @@ def rotor_age(t_rotor: np.ndarray, speeds: np.ndarray, t_gyro: np.ndarray, rates
 
     t_rotor (n,) s with speeds (n, 4) rad/s; t_gyro (m,) s with rates (m, 3) rad/s, both on one clock, filter delays
     taken off. Yaw acceleration is fitted by the squares and the accelerations of all rotors, the body rates and a
-    constant, all in one band, at every age of AGES; the best age is that of the least residual.
+    constant, all in one band, at every age of AGES; the best age is that of the least residual. Every other sample of
+    the speeds makes a half. What halves differ by is noise, whose products are taken off (Fuller, Measurement Error
+    Models, 1987, section 2.2); combinations of columns that are nearly all noise are left out.
     Standard error by leaving out each of BLOCKS pieces of the flight in turn (jackknife).
     None where the flight is too short or shows none.
     """
-    if np.count_nonzero(np.isfinite(speeds).all(axis=1)) < 2:
+    if np.count_nonzero(np.isfinite(speeds).all(axis=1)) < 4:
         return None
+    # a logger that is faster than the telemetry repeats each value, with its noise
+    fresh = np.flatnonzero(np.any(np.diff(speeds, axis=0, prepend=np.nan) != 0.0, axis=1))
+    if round(np.median(np.diff(t_rotor[fresh])) / np.median(np.diff(t_rotor))) > 1:
+        t_rotor, speeds = t_rotor[fresh], speeds[fresh]
     begin, end = max(t_rotor[0], t_gyro[0]), min(t_rotor[-1], t_gyro[-1])
     rate = min(AGE_GRID, 1.0 / float(np.median(np.diff(t_gyro))), 1.0 / float(np.median(np.diff(t_rotor))))
     margin = AGES[-1] + 0.1
     if not end - begin > LEAST_FLYING + 2 * margin:
         return None
     t = np.arange(begin, end, 1.0 / rate)
-    low = butter(4, min(AGE_BAND, 0.2 * rate), fs=rate, output="sos")
+    halved = 0.5 / float(np.median(np.diff(t_rotor)))
+    low = butter(4, min(AGE_BAND, 0.2 * rate, 0.2 * halved), fs=rate, output="sos")
 
     def smooth(times: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         fine = np.isfinite(values).all(axis=1)
@@ -63,12 +71,14 @@ def rotor_age(t_rotor: np.ndarray, speeds: np.ndarray, t_gyro: np.ndarray, rates
         return sosfiltfilt(low, columns, axis=0), apart > 3.0 / rate + 0.005
 
     turning, lost = smooth(t_gyro, rates)
-    spinning, lost_too = smooth(t_rotor, speeds)
-    curve = CubicSpline(t, spinning)
-    slope = curve.derivative()
+    halves = [smooth(t_rotor[k::2], speeds[k::2]) for k in (0, 1)]
+    curves = [CubicSpline(t, spinning) for spinning, _ in halves]
+    slopes = [curve.derivative() for curve in curves]
     yaw = np.gradient(turning[:, 2], t)
-    flying = spinning.min(axis=1) > 0.35 * np.percentile(spinning.mean(axis=1), 90)
-    use = flying & ~lost & ~lost_too & (t > t[0] + margin) & (t < t[-1] - margin)
+    middle = np.mean([spinning for spinning, _ in halves], axis=0)
+    flying = middle.min(axis=1) > 0.35 * np.percentile(middle.mean(axis=1), 90)
+    lost = lost | halves[0][1] | halves[1][1]
+    use = flying & ~lost & (t > t[0] + margin) & (t < t[-1] - margin)
     # filters and differences reach a little beyond a gap
     reach = max(round(0.1 * rate), 1)
     use = np.convolve(use, np.ones(2 * reach + 1), "same") > 2 * reach + 0.5
@@ -76,36 +86,57 @@ def rotor_age(t_rotor: np.ndarray, speeds: np.ndarray, t_gyro: np.ndarray, rates
     if len(rows) < LEAST_FLYING * rate:
         return None
     pieces = np.array_split(rows, BLOCKS)
-    scale = float(np.mean(spinning[rows]))
+    scale = float(np.mean(middle[rows]))
 
-    def moments(piece: np.ndarray, age: float) -> np.ndarray:
+    def products(piece: np.ndarray, age: float) -> tuple[np.ndarray, np.ndarray]:
+        """Cross-products of all columns and yaw by the mean of the halves, and by half their difference."""
         at = t[piece] + age
-        w, w_dot = curve(at) / scale, slope(at) / scale
-        columns = np.column_stack([np.ones(len(piece)), w**2, w_dot / 10.0, turning[piece], yaw[piece]])
-        return columns.T @ columns
+        pairs = [(w(at) / scale, d(at) / scale / 10.0) for w, d in zip(curves, slopes)]
+        motor = np.array([np.column_stack([w**2, w_dot]) for w, w_dot in pairs])
+        others = np.column_stack([np.ones(len(piece)), turning[piece], yaw[piece]])
+        columns = np.column_stack([motor.mean(axis=0), others])
+        apart = np.column_stack([0.5 * (motor[0] - motor[1]), 0.0 * others])
+        return columns.T @ columns, apart.T @ apart
 
-    grams = np.array([[moments(piece, age) for piece in pieces] for age in AGES])
+    grams = np.array([[products(piece, age) for piece in pieces] for age in AGES])  # (ages, pieces, 2, C, C)
+    kept = _shown(*grams.sum(axis=(0, 1)))
+
+    def left(chosen: np.ndarray) -> np.ndarray:
+        return np.array([_residual(whole - noise, kept) for whole, noise in grams[:, chosen].sum(axis=1)])
 
     def best(chosen: np.ndarray) -> float:
-        left = np.array([_residual(g) for g in grams[:, chosen].sum(axis=1)])
-        i = int(np.clip(np.argmin(left), 1, len(AGES) - 2))
-        bend = left[i - 1] - 2 * left[i] + left[i + 1]
-        step = 0.5 * (left[i - 1] - left[i + 1]) / bend if bend > 0 else 0.0
+        near = left(chosen)
+        i = int(np.clip(np.argmin(near), 1, len(AGES) - 2))
+        bend = near[i - 1] - 2 * near[i] + near[i + 1]
+        step = 0.5 * (near[i - 1] - near[i + 1]) / bend if bend > 0 else 0.0
         return float(AGES[i] + np.clip(step, -1.0, 1.0) * (AGES[1] - AGES[0]))
 
     every = np.arange(BLOCKS)
     value = best(every)
     without = np.array([best(np.delete(every, k)) for k in every])
+    over = left(every)
     std = float(np.sqrt((BLOCKS - 1) / BLOCKS * np.sum((without - without.mean()) ** 2)))
-    total = grams.sum(axis=1)
-    spread = total[0, -1, -1] - total[0, 0, -1] ** 2 / total[0, 0, 0]
-    explained = 1.0 - min(_residual(g) for g in total) / spread if spread > 0 else 0.0
+    if np.argmin(over) in (0, len(AGES) - 1):  # the best one may lie beyond
+        std = float(AGES[-1] - AGES[0])
+    first = grams[0, :, 0].sum(axis=0)
+    spread = first[-1, -1] - first[8, -1] ** 2 / first[8, 8]
+    explained = 1.0 - over.min() / spread if spread > 0 else 0.0
     return Age(value, std, float(explained))
 
 
-def _residual(gram: np.ndarray) -> float:
-    """Least sum of squares of the last column on the others, from their cross-products."""
-    a, b = gram[:-1, :-1], gram[:-1, -1]
+def _shown(whole: np.ndarray, noise: np.ndarray) -> np.ndarray:
+    """Combinations (C, K) of the columns, without the last one, of whose square noise makes less than NOISE_SHARE."""
+    scale = 1.0 / np.sqrt(np.maximum(np.diag(whole), 1e-300))[:-1]
+    total, apart = (scale[:, None] * m[:-1, :-1] * scale for m in (whole, noise))
+    size, vectors = np.linalg.eigh(total)
+    white = vectors[:, size > 1e-12 * size[-1]] / np.sqrt(size[size > 1e-12 * size[-1]])
+    share, turn = np.linalg.eigh(white.T @ apart @ white)
+    return scale[:, None] * (white @ turn[:, share < NOISE_SHARE])
+
+
+def _residual(gram: np.ndarray, kept: np.ndarray) -> float:
+    """Least sum of squares of the last column on combinations of the others, from their cross-products."""
+    a, b = kept.T @ gram[:-1, :-1] @ kept, kept.T @ gram[:-1, -1]
     return float(gram[-1, -1] - b @ np.linalg.lstsq(a, b, rcond=1e-12)[0])
 
 
