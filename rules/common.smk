@@ -20,6 +20,7 @@ from quasi.running.provenance import compute_code_digest, save_parsed
 from quasi.project.folder import check_project, check_writable, read_settings
 from quasi.running.checksums import Checksums, read_once
 from quasi.running.failed_jobs import mark_incomplete
+from quasi.running.ready_jobs import keep_one_timer, weigh_few
 from quasi.running.live_runs import (
     explain_lock,
     refuse_unlocking,
@@ -93,6 +94,8 @@ MAIN = RUN_VARIABLE not in os.environ
 
 if JobScheduler is not None:
     replace_handler(JobScheduler)
+    weigh_few(JobScheduler)
+    keep_one_timer(JobScheduler)
 
 if MAIN:
     # the main process of a run; processes that it starts find the variable set

@@ -24,7 +24,7 @@ GRID = 200.0  # Hz
 TELEMETRY_BAND = 12.0  # Hz
 LONGEST_TELEMETRY_AGE = 0.15  # s
 AGE_GRID, AGE_BAND = 250.0, 30.0  # Hz
-AGES = np.arange(-0.010, 0.0401, 0.001)  # s, tried ages of the rotor telemetry
+AGES, AGE_STEP = (-0.010, 0.040), 0.001  # s, tried ages of the rotor telemetry, and their step at most
 NOISE_SHARE = 0.9  # of a combination of columns up to which motion is left: noise itself is known to some percent
 BLOCKS = 12  # pieces of a flight, for the standard error
 LEAST_FLYING = 5.0  # s
@@ -43,8 +43,8 @@ def rotor_age(t_rotor: np.ndarray, speeds: np.ndarray, t_gyro: np.ndarray, rates
 
     t_rotor (n,) s with speeds (n, 4) rad/s; t_gyro (m,) s with rates (m, 3) rad/s, both on one clock, filter delays
     taken off. Yaw acceleration is fitted by the squares and the accelerations of all rotors, the body rates and a
-    constant, all in one band, at every age of AGES; the best age is that of the least residual. Every other sample of
-    the speeds makes a half. What halves differ by is noise, whose products are taken off (Fuller, Measurement Error
+    constant, all in one band, at every age within AGES; the best age is that of the least residual. Every other sample
+    of the speeds makes a half. What halves differ by is noise, whose products are taken off (Fuller, Measurement Error
     Models, 1987, section 2.2); combinations of columns that are nearly all noise are left out.
     Standard error by leaving out each of BLOCKS pieces of the flight in turn (jackknife).
     None where the flight is too short or shows none.
@@ -57,12 +57,13 @@ def rotor_age(t_rotor: np.ndarray, speeds: np.ndarray, t_gyro: np.ndarray, rates
         t_rotor, speeds = t_rotor[fresh], speeds[fresh]
     begin, end = max(t_rotor[0], t_gyro[0]), min(t_rotor[-1], t_gyro[-1])
     rate = min(AGE_GRID, 1.0 / float(np.median(np.diff(t_gyro))), 1.0 / float(np.median(np.diff(t_rotor))))
-    margin = AGES[-1] + 0.1
+    margin = AGES[1] + 0.1
     if not end - begin > LEAST_FLYING + 2 * margin:
         return None
     t = np.arange(begin, end, 1.0 / rate)
     halved = 0.5 / float(np.median(np.diff(t_rotor)))
-    low = butter(4, min(AGE_BAND, 0.2 * rate, 0.2 * halved), fs=rate, output="sos")
+    band = min(AGE_BAND, 0.2 * rate, 0.2 * halved)
+    low = butter(4, band, fs=rate, output="sos")
 
     def smooth(times: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         fine = np.isfinite(values).all(axis=1)
@@ -72,8 +73,12 @@ def rotor_age(t_rotor: np.ndarray, speeds: np.ndarray, t_gyro: np.ndarray, rates
 
     turning, lost = smooth(t_gyro, rates)
     halves = [smooth(t_rotor[k::2], speeds[k::2]) for k in (0, 1)]
+    # speeds and accelerations of the halves on a grid as fine as the ages
+    per = int(np.ceil(1.0 / (rate * AGE_STEP) - 1e-6))
+    fine = t[0] + np.arange(len(t) * per) / (rate * per)
+    ages = np.arange(round(AGES[0] * rate * per), round(AGES[1] * rate * per) + 1)  # steps of that grid
     curves = [CubicSpline(t, spinning) for spinning, _ in halves]
-    slopes = [curve.derivative() for curve in curves]
+    spun = [(curve(fine), curve.derivative()(fine)) for curve in curves]
     yaw = np.gradient(turning[:, 2], t)
     middle = np.mean([spinning for spinning, _ in halves], axis=0)
     flying = middle.min(axis=1) > 0.35 * np.percentile(middle.mean(axis=1), 90)
@@ -85,39 +90,41 @@ def rotor_age(t_rotor: np.ndarray, speeds: np.ndarray, t_gyro: np.ndarray, rates
     rows = np.flatnonzero(use)
     if len(rows) < LEAST_FLYING * rate:
         return None
-    pieces = np.array_split(rows, BLOCKS)
+    rows = rows[:: max(int(rate / band / 4.0), 1)]  # products of two signals have twice their band
     scale = float(np.mean(middle[rows]))
+    motors = [np.column_stack([(w / scale) ** 2, w_dot / scale / 10.0]) for w, w_dot in spun]
+    motor, apart = 0.5 * (motors[0] + motors[1]), 0.5 * (motors[0] - motors[1])
+    others = np.column_stack([np.ones(len(rows)), turning[rows], yaw[rows]])
+    pieces = [slice(piece[0], piece[-1] + 1) for piece in np.array_split(np.arange(len(rows)), BLOCKS)]
 
-    def products(piece: np.ndarray, age: float) -> tuple[np.ndarray, np.ndarray]:
-        """Cross-products of all columns and yaw by the mean of the halves, and by half their difference."""
-        at = t[piece] + age
-        pairs = [(w(at) / scale, d(at) / scale / 10.0) for w, d in zip(curves, slopes)]
-        motor = np.array([np.column_stack([w**2, w_dot]) for w, w_dot in pairs])
-        others = np.column_stack([np.ones(len(piece)), turning[piece], yaw[piece]])
-        columns = np.column_stack([motor.mean(axis=0), others])
-        apart = np.column_stack([0.5 * (motor[0] - motor[1]), 0.0 * others])
-        return columns.T @ columns, apart.T @ apart
+    def products(age: int) -> np.ndarray:
+        """Cross-products (pieces, 2, C, C) of all columns and yaw by the mean of the halves, and by half their
+        difference."""
+        columns = np.column_stack([motor[rows * per + age], others])
+        noise = np.column_stack([apart[rows * per + age], np.zeros_like(others)])
+        return np.array([[x[piece].T @ x[piece] for x in (columns, noise)] for piece in pieces])
 
-    grams = np.array([[products(piece, age) for piece in pieces] for age in AGES])  # (ages, pieces, 2, C, C)
+    grams = np.array([products(age) for age in ages])  # (ages, pieces, 2, C, C)
     kept = _shown(*grams.sum(axis=(0, 1)))
 
     def left(chosen: np.ndarray) -> np.ndarray:
-        return np.array([_residual(whole - noise, kept) for whole, noise in grams[:, chosen].sum(axis=1)])
+        whole, noise = grams[:, chosen].sum(axis=1).swapaxes(0, 1)
+        return _residuals(whole - noise, kept)
 
     def best(chosen: np.ndarray) -> float:
         near = left(chosen)
-        i = int(np.clip(np.argmin(near), 1, len(AGES) - 2))
+        i = int(np.clip(np.argmin(near), 1, len(ages) - 2))
         bend = near[i - 1] - 2 * near[i] + near[i + 1]
         step = 0.5 * (near[i - 1] - near[i + 1]) / bend if bend > 0 else 0.0
-        return float(AGES[i] + np.clip(step, -1.0, 1.0) * (AGES[1] - AGES[0]))
+        return float((ages[i] + np.clip(step, -1.0, 1.0)) / (rate * per))
 
     every = np.arange(BLOCKS)
     value = best(every)
     without = np.array([best(np.delete(every, k)) for k in every])
     over = left(every)
     std = float(np.sqrt((BLOCKS - 1) / BLOCKS * np.sum((without - without.mean()) ** 2)))
-    if np.argmin(over) in (0, len(AGES) - 1):  # the best one may lie beyond
-        std = float(AGES[-1] - AGES[0])
+    if np.argmin(over) in (0, len(ages) - 1):  # the best one may lie beyond
+        std = AGES[1] - AGES[0]
     first = grams[0, :, 0].sum(axis=0)
     spread = first[-1, -1] - first[8, -1] ** 2 / first[8, 8]
     explained = 1.0 - over.min() / spread if spread > 0 else 0.0
@@ -134,10 +141,10 @@ def _shown(whole: np.ndarray, noise: np.ndarray) -> np.ndarray:
     return scale[:, None] * (white @ turn[:, share < NOISE_SHARE])
 
 
-def _residual(gram: np.ndarray, kept: np.ndarray) -> float:
-    """Least sum of squares of the last column on combinations of the others, from their cross-products."""
-    a, b = kept.T @ gram[:-1, :-1] @ kept, kept.T @ gram[:-1, -1]
-    return float(gram[-1, -1] - b @ np.linalg.lstsq(a, b, rcond=1e-12)[0])
+def _residuals(grams: np.ndarray, kept: np.ndarray) -> np.ndarray:
+    """Least sums of squares (n,) of the last column on combinations of the others, from cross-products (n, C, C)."""
+    a, b = kept.T @ grams[:, :-1, :-1] @ kept, grams[:, -1, :-1] @ kept
+    return grams[:, -1, -1] - np.einsum("ni,nij,nj->n", b, np.linalg.pinv(a, rcond=1e-12, hermitian=True), b)
 
 
 def rotor_lag(t_rotor: np.ndarray, speeds: np.ndarray, t_motion: np.ndarray, rates: np.ndarray) -> ClockFit | None:
