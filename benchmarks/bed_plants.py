@@ -216,6 +216,8 @@ PLANTS: dict[str, Plant] = {
        for cause, name, *sizes in (("rotor_drag", "drag", 8e-6, 1.6e-5), ("axial_inflow", "inflow", 2e-5, 4e-5),
                                     ("translational_lift", "lift", 0.01, 0.02), ("ground_effect", "ground", 4.0, 8.0))
        for size in sizes},
+    **{f"tether of {size:g} fixed aside": Plant(("tether",), {"k": size}, acting=("tether_aside", size))
+       for size in (0.1, 0.2)},
     **{f"wind of {size:g} N": acting("wind", size) for size in (0.05, 0.1)},
 }  # fmt: skip
 

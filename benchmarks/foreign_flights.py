@@ -55,6 +55,7 @@ class Sensors:
     markers: tuple[float, float, float] = (0.0, 0.0, 0.03)  # m from the cg
     accelerometer_noise: float = 0.3  # m/s2
     gyro_noise: float = 0.01  # rad/s
+    telemetry_noise: float = 0.002  # of the speed of a rotor
     vibration: float = 1.5  # m/s2 at hover, along each axis, of each rotor's line
     hover: float = 469.0  # rad/s
     rotors: tuple[int, int, int, int] = (0, 1, 2, 3)  # rotor, from 0, that each column of speeds and commands holds
@@ -68,7 +69,7 @@ class Sensors:
 # a loose frame, a log of half the rate, and markers at the edge of what cameras see
 ROUGH: dict[str, Any] = {
     "accelerometer_noise": 3.0, "gyro_noise": 0.05, "vibration": 6.0, "capture_noise": 1e-3, "attitude_noise": 5e-3,
-    "logged": 250, "captured": 100, "gaps": 4,
+    "telemetry_noise": 0.01, "logged": 250, "captured": 100, "gaps": 4,
 }  # fmt: skip
 
 
@@ -182,7 +183,7 @@ def measure(motion: Motion, sensors: Sensors, rng: np.random.Generator) -> Board
     low_pass = butter(2, 120.0, fs=FINE, output="sos")
     start = slice(FINE // 10, None, FINE // sensors.logged)  # the filters have started
     gyro, acc, stamps = sosfilt(low_pass, rates, axis=0)[start], sosfilt(low_pass, force, axis=0)[start], t[start]
-    jitter = 1 + rng.normal(0, 0.002, (len(stamps), 4))
+    jitter = 1 + rng.normal(0, sensors.telemetry_noise, (len(stamps), 4))
     telemetry = np.round(at(stamps - 0.002, motion, motion.speeds) * ERPM * jitter)
     rows = np.clip(np.searchsorted(motion.t, stamps, "right") - 1, 0, len(motion.t) - 1)
     columns = list(sensors.rotors)

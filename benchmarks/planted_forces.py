@@ -212,10 +212,12 @@ def _carried(flown: Flown, arm: np.ndarray) -> Wrench:
     return -flown.airframe.mass * accelerated, -np.cross(arm, flown.force)
 
 
+ANCHOR = np.array([1.5, -1.0, 0.0])  # m, earth axes, where a cable is fixed aside of the origin
 # id: what acts, for a size; docs/causes.md has the equations
 ACTING: Mapping[str, Callable[[float], Acting]] = {
     "wind": lambda n: in_room(lambda f: np.tile([n, 0.0, 0.0], (len(f.time), 1))),
     "tether": lambda k: in_room(lambda f: -k * f.place),
+    "tether_aside": lambda k: in_room(lambda f: -k * (f.place - ANCHOR)),
     "body_drag": lambda c: force(lambda f: -c * np.linalg.norm(f.velocity, axis=1, keepdims=True) * f.velocity),
     "rotor_drag": lambda k: lambda f: f.at_the_hubs(-k * f.speeds[:, :, None] * f.at_hubs * ALONG),
     "drag_at_centre": lambda k: force(lambda f: -k * f.speeds.sum(axis=1, keepdims=True) * f.velocity * ALONG),

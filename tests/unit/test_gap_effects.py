@@ -164,6 +164,19 @@ def test_columns_have_the_sign_and_size_of_independent_physics(ground, name):
     assert share < tolerance, f"{name}: columns leave {share:.2f} of what the physics makes"
 
 
+def test_a_cable_is_fixed_at_any_point_of_the_floor(ground):
+    evidence, k = residual_of(ground, {"tether": {"k": 0.2}}), 0.2
+    # the same flight in a room whose origin is elsewhere: the cable is fixed at (1.5, -1, 0) m
+    columns = evidence.columns | {"x": evidence.columns["x"] + 1.5, "y": evidence.columns["y"] - 1.0}
+    moved, vehicle = replace(evidence, columns=columns), vehicle_of(ground[2], evidence.mass, evidence.inertia, ROOM)
+    effect = CATALOGUE["tether"]
+    slopes = columns_of(effect, moved, vehicle, dict.fromkeys(effect.parameters, 0.0))
+    found = np.linalg.lstsq(
+        np.column_stack([slopes[name][:, :3].ravel() for name in effect.parameters]), moved.residual[:, :3].ravel()
+    )[0]
+    np.testing.assert_allclose(found, [k, 1.5 * k, -1.0 * k], rtol=0.02)
+
+
 @pytest.mark.parametrize("name", ["thrust_curve", "thrust_factor", "rotor_effectiveness"])
 def test_the_flow_that_thrust_drives_draws_torque(ground, name):
     """Momentum theory's power T v, which the physics' blade elements make without it."""
