@@ -22,7 +22,16 @@ from quasi.gap.levels.rollouts.open_loop import TYPICAL
 from quasi.gap.levels.sensors_and_drive import units_of
 from quasi.gap.report.figures import figures, select_panels, with_errors
 from quasi.gap.report.page import page
-from quasi.gap.report.wording import confirmation_of, rollout_of, summary
+from quasi.gap.report.wording import confirmation_of, rollout_of, summary, value_of
+
+
+@pytest.mark.parametrize(
+    ("value", "std", "text"),
+    [(2.378, 0.142, "2.38 ± 0.14 m"), (-0.0006, 0.0412, "-0.001 ± 0.041 m"), (6.228e-6, 3.7e-7, "(6.23 ± 0.37)e-6 m"),
+     (0.0, 2e-6, "(0.0 ± 2.0)e-6 m"), (120.0, 15.0, "120 ± 15 m")],
+)  # fmt: skip
+def test_a_value_is_written_to_the_second_digit_of_its_error(value, std, text):
+    assert value_of({"value": value, "std": std, "unit": "m"}) == text
 
 
 def test_the_page_tells_everything_escaped_and_without_network():

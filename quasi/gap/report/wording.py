@@ -66,7 +66,7 @@ def value_of(parameter: Mapping[str, Any]) -> str:
     unit = "" if unit == "1" else f" {unit}"
     if not std > 0 or not math.isfinite(std):
         return f"{value:.4g}{unit}"
-    power = math.floor(math.log10(abs(value))) if value else 0
+    power = math.floor(math.log10(max(abs(value), std)))
     if power < -3:
         digits = max(power - math.floor(math.log10(std)) + 1, 0)
         return f"({value / 10.0**power:.{digits}f} ± {std / 10.0**power:.{digits}f})e{power}{unit}"
