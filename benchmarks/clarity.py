@@ -18,7 +18,7 @@ from quasi.gap.flights.level import Level, SensorMixedModel, offers_of
 from quasi.gap.levels.forces.design import Design, gather_design
 from quasi.gap.levels.sensors import identify as sensor_level
 from quasi.gap.statistics.blocks import BLOCK
-from quasi.gap.statistics.mixed import Candidate
+from quasi.gap.statistics.candidates import Candidate
 from quasi_synthesis.physics import BEAT, FAN, FAN_WIDTH, SHIFT
 from quasi_synthesis.vehicle import base_vehicle
 

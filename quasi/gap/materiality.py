@@ -22,7 +22,7 @@ import numpy as np
 from quasi.errors import DataError
 from quasi.gap.effect import Effect
 from quasi.gap.statistics.blocks import HOLDS
-from quasi.gap.statistics.mixed import Test
+from quasi.gap.statistics.candidates import Test
 from quasi.gap.statistics.scores import Score, fraction, surely, within
 from quasi.model.model import AXES
 

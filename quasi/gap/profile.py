@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from quasi.gap.effect import Effect, Limits
-from quasi.gap.statistics.mixed import Test
+from quasi.gap.statistics.candidates import Test
 
 LIMIT_ERRORS = 3.0  # standard errors by which an estimate may lie outside its physical range
 

@@ -17,7 +17,8 @@ from typing import NamedTuple
 import numpy as np
 
 from quasi.gap.profile import Profile
-from quasi.gap.statistics.mixed import Candidate, MixedModel, Test, ranked, share_of_rate
+from quasi.gap.statistics.candidates import Candidate, Test
+from quasi.gap.statistics.mixed import MixedModel, ranked, share_of_rate
 
 COMPARED_RIVALS = 6  # most significant causes that are compared with each other in one step
 MOST_CAUSES = 12  # causes that one search accepts

@@ -39,7 +39,7 @@ from quasi.gap.losses import (
 )
 from quasi.gap.materiality import Cause
 from quasi.gap.selection import FORM_ERROR
-from quasi.gap.statistics.mixed import Candidate
+from quasi.gap.statistics.candidates import Candidate
 from quasi.model.model import AXES, Model
 
 DROWNED = "it makes so little of what no cause explains on its axes that it may be the error of that one's form"

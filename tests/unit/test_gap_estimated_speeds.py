@@ -14,7 +14,7 @@ from quasi.gap.flights.evidence import Evidence
 from quasi.gap.flights.instruments import shown
 from quasi.gap.levels.forces.design import gather_design
 from quasi.gap.levels.forces.estimated_speeds import OF_TELEMETRY, add_battery, with_estimated_speeds
-from quasi.gap.statistics.mixed import Candidate
+from quasi.gap.statistics.candidates import Candidate
 from quasi.model.commands import extended_map, rotor_speeds
 from quasi.model.extensions import correct_columns
 from quasi.model.model import Model

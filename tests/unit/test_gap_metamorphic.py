@@ -13,7 +13,7 @@ from quasi.gap.catalogue import catalogue, whole_of
 from quasi.gap.effect import vehicle_of
 from quasi.gap.levels.forces.design import gather_design
 from quasi.gap.levels.forces.identify import examine
-from quasi.gap.statistics.mixed import Candidate
+from quasi.gap.statistics.candidates import Candidate
 from quasi.model.model import AXES, Model
 from quasi_synthesis.campaign import quadrotor_configuration, read_campaign
 

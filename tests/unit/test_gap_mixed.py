@@ -6,8 +6,9 @@ from scipy.integrate import quad
 from scipy.stats import norm
 
 from quasi.gap.levels.forces.design import in_stretches, joined
+from quasi.gap.statistics.candidates import Candidate, Columns
 from quasi.gap.statistics.clustered import ClusteredMixedModel
-from quasi.gap.statistics.mixed import SPREADS, Candidate, Columns, MixedModel
+from quasi.gap.statistics.mixed import SPREADS, MixedModel
 from quasi.gap.statistics.whitening import autoregression, block_grams, thin, whiten
 
 LAYOUT = Columns([1, 2], [3], np.array([0.5]), {"a": [4], "b": [5], "c": [6, 7]})

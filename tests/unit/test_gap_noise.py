@@ -10,7 +10,7 @@ from test_unexplained import RATE, flight, ground, smooth  # noqa: F401
 from quasi.gap.catalogue import catalogue
 from quasi.gap.effect import room_of, vehicle_of
 from quasi.gap.levels.forces.design import gather_design
-from quasi.gap.statistics.mixed import Candidate
+from quasi.gap.statistics.candidates import Candidate
 from quasi.model.model import AXES, Model
 
 EFFECTS = {n: e for n, e in catalogue().items() if e.level == "forces" and not e.finding}

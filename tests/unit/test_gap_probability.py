@@ -11,8 +11,8 @@ from quasi.gap.entries import tie_entry
 from quasi.gap.probability import KINDS, MOST_DECADES, add_probabilities, decades, probability_of
 from quasi.gap.report.shares import certainty_of, separability_of
 from quasi.gap.selection import Tie
-from quasi.gap.statistics.mixed import Candidate
-from quasi.gap.statistics.mixed import Test as CauseTest
+from quasi.gap.statistics.candidates import Candidate
+from quasi.gap.statistics.candidates import Test as CauseTest
 
 
 def stated(**parts):

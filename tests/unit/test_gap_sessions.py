@@ -11,8 +11,8 @@ from quasi.gap.levels.forces.identify import compute_leading_p
 from quasi.gap.levels.forces.nuisance import session_nuisances
 from quasi.gap.profile import Profile
 from quasi.gap.statistics import mixed
+from quasi.gap.statistics.candidates import Candidate, Columns
 from quasi.gap.statistics.clustered import ClusteredMixedModel
-from quasi.gap.statistics.mixed import Candidate, Columns
 
 
 @pytest.mark.parametrize(

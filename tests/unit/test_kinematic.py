@@ -19,7 +19,7 @@ from quasi.gap.levels.sensors.columns import SIGMA, noise_free, weak_form, windo
 from quasi.gap.levels.sensors.findings import shaken, torn
 from quasi.gap.levels.sensors.identify import NORMAL_SPREAD, examine, size_of
 from quasi.gap.levels.sensors.products import blocks_of, spread_of_slopes, whitener_of
-from quasi.gap.statistics.mixed import Candidate
+from quasi.gap.statistics.candidates import Candidate
 from quasi.importing.resampling import resample_attitude
 
 RATE, CAPTURED, SECONDS = 500.0, 120.0, 24.0

@@ -16,7 +16,7 @@ from quasi.gap.levels.sensors import identify as sensor_level
 from quasi.gap.planning import plan, plan_noise
 from quasi.gap.planning.manoeuvres import library
 from quasi.gap.planning.outlook import Outlook, Repeated, Spread
-from quasi.gap.statistics.mixed import Candidate
+from quasi.gap.statistics.candidates import Candidate
 from quasi.model.model import AXES
 
 # noise

@@ -13,8 +13,9 @@ from quasi.gap.levels.forces.search import excess_of, share_in_common
 from quasi.gap.profile import Profile
 from quasi.gap.selection import FORM_ERROR, Named, Search
 from quasi.gap.statistics import mixed as tests_on
+from quasi.gap.statistics.candidates import Candidate, Columns
 from quasi.gap.statistics.clustered import ClusteredMixedModel
-from quasi.gap.statistics.mixed import Candidate, Columns, MixedModel
+from quasi.gap.statistics.mixed import MixedModel
 
 
 def searching(mixed, effects, since="always", rate=0.01, within=None):

@@ -19,7 +19,7 @@ from quasi.gap.levels.forces import unexplained
 from quasi.gap.levels.forces.error_reduction import wrench_score
 from quasi.gap.levels.forces.polynomial_baseline import polynomial
 from quasi.gap.levels.forces.unexplained import outdone, search
-from quasi.gap.statistics.mixed import Candidate
+from quasi.gap.statistics.candidates import Candidate
 from quasi.model.model import AXES
 from quasi_synthesis.campaign import quadrotor_configuration, read_campaign
 

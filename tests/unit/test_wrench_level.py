@@ -23,7 +23,7 @@ from quasi.gap.levels.forces.left_out import LeftOut, residual_of_others
 from quasi.gap.materiality import Cause
 from quasi.gap.selection import UNPHYSICAL, Named, Tie
 from quasi.gap.statistics import mixed as tests_on
-from quasi.gap.statistics.mixed import Candidate
+from quasi.gap.statistics.candidates import Candidate
 from quasi.gap.statistics.scores import Score
 from quasi.model.model import AXES, Model
 

@@ -16,7 +16,7 @@ from quasi.gap.levels.forces.error_reduction import after, before, wrench_score
 from quasi.gap.levels.forces.held_out import best_wrong, gain_axes
 from quasi.gap.levels.forces.polynomial_baseline import polynomial
 from quasi.gap.materiality import Cause
-from quasi.gap.statistics.mixed import Candidate
+from quasi.gap.statistics.candidates import Candidate
 from quasi.model.model import Model
 
 ASKED = {n: catalogue()[n] for n in ("ground_effect", "thrust_factor", "rotor_acceleration_torque", "wind")}

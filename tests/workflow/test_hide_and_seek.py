@@ -19,7 +19,7 @@ from probability import Stated, bin_table, brier, fit, left_out, stated
 
 from quasi.gap.catalogue import catalogue
 from quasi.gap.probability import decades, probability_of
-from quasi.gap.statistics.mixed import Candidate, Columns
+from quasi.gap.statistics.candidates import Candidate, Columns
 from quasi_synthesis.effects import check
 from quasi_synthesis.vehicle import BASE_MASS
 

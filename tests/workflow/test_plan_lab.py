@@ -15,7 +15,7 @@ from quasi.gap.effect import vehicle_of
 from quasi.gap.flights.gathering import gather
 from quasi.gap.levels.forces.design import gather_design
 from quasi.gap.planning import plan
-from quasi.gap.statistics.mixed import Candidate
+from quasi.gap.statistics.candidates import Candidate
 
 CAUSE, PARAMETER = "tether", "k"
 

@@ -9,7 +9,8 @@ import pandas as pd
 from scipy.stats import f as f_distribution
 
 from quasi.airframe import Airframe
-from quasi.gap.statistics.mixed import Candidate, Columns, MixedModel, Test
+from quasi.gap.statistics.candidates import Candidate, Columns, Test
+from quasi.gap.statistics.mixed import MixedModel
 
 # of spreads between healthy flights: they are known from many flights, not estimated from the few at hand
 PRIOR_FREEDOM = 16.0

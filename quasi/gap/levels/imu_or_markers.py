@@ -26,7 +26,7 @@ from quasi.gap.levels.forces.nonlinear import started
 from quasi.gap.levels.sensors.columns import XYZ
 from quasi.gap.profile import Profile
 from quasi.gap.selection import select_causes
-from quasi.gap.statistics.mixed import Candidate
+from quasi.gap.statistics.candidates import Candidate
 from quasi.model.model import Model
 
 IMU, OFFSET, CG = "imu_lever_arm", "marker_offset", "cg_offset"

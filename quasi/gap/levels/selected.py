@@ -6,7 +6,8 @@ from typing import Any
 from quasi.gap.effect import Effect
 from quasi.gap.flights.level import Level
 from quasi.gap.selection import Selection
-from quasi.gap.statistics.mixed import Candidate, MixedModel
+from quasi.gap.statistics.candidates import Candidate
+from quasi.gap.statistics.mixed import MixedModel
 
 Parameters = dict[str, dict[str, Any]]
 

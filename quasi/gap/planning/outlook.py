@@ -13,16 +13,14 @@ import numpy as np
 from scipy.stats import f as f_distribution
 
 from quasi.gap.effect import Effect
+from quasi.gap.statistics.candidates import MOST_FREEDOM, Candidate, Columns
 from quasi.gap.statistics.mixed import (
     CERTAIN,
     FAINT,
-    MOST_FREEDOM,
     PATIENCE,
     RIDGE,
     SPANNED,
     SPREADS,
-    Candidate,
-    Columns,
     MixedModel,
     marginal,
     share_of_rate,

@@ -22,7 +22,7 @@ from quasi.gap.levels.drive import identify as drive_level
 from quasi.gap.levels.sensors import identify as sensor_level
 from quasi.gap.levels.sensors.columns import weak_form
 from quasi.gap.planning.outlook import Outlook, Repeated, Row
-from quasi.gap.statistics.mixed import Columns
+from quasi.gap.statistics.candidates import Columns
 from quasi.model.columns import ROTORS
 from quasi.model.extensions import drive_of
 from quasi.model.model import Model

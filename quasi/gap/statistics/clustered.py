@@ -4,7 +4,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from quasi.gap.statistics.mixed import Candidate, Columns, MixedModel, Test
+from quasi.gap.statistics.candidates import Candidate, Columns, Test
+from quasi.gap.statistics.mixed import MixedModel
 
 
 class ClusteredMixedModel(MixedModel):

@@ -30,7 +30,7 @@ from quasi.gap.levels.selected import report_selection
 from quasi.gap.profile import Profile
 from quasi.gap.selection import EXACT, Selection, select_causes
 from quasi.gap.statistics.blocks import BLOCK
-from quasi.gap.statistics.mixed import Candidate, Columns
+from quasi.gap.statistics.candidates import Candidate, Columns
 from quasi.importing.imu_and_telemetry import YAW_EXPLAINED
 from quasi.model.columns import ROTORS
 from quasi.model.extensions import are_estimated

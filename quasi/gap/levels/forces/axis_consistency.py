@@ -12,8 +12,8 @@ from scipy.stats import chi2
 
 from quasi.gap.levels.forces.design import Design, in_stretches
 from quasi.gap.statistics.blocks import BLOCK
+from quasi.gap.statistics.candidates import Candidate, Test
 from quasi.gap.statistics.clustered import ClusteredMixedModel
-from quasi.gap.statistics.mixed import Candidate, Test
 from quasi.gap.statistics.whitening import block_grams
 from quasi.model.model import AXES
 

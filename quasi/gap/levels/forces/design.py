@@ -15,8 +15,9 @@ from quasi.gap.flights.sessions import units
 from quasi.gap.levels.forces.nuisance import SEATED, nuisances, session_nuisances
 from quasi.gap.materiality import Cause
 from quasi.gap.statistics.blocks import BLOCK
+from quasi.gap.statistics.candidates import Columns
 from quasi.gap.statistics.clustered import ClusteredMixedModel
-from quasi.gap.statistics.mixed import Columns, MixedModel, marginal
+from quasi.gap.statistics.mixed import MixedModel, marginal
 from quasi.gap.statistics.whitening import Thinned, Whitener, autoregression, block_grams, thin
 from quasi.model.model import AXES
 from quasi.terms.expressions import Program, parse

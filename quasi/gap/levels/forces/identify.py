@@ -21,8 +21,8 @@ from quasi.gap.levels.forces.search import Sought, estimate, merged, offers_of, 
 from quasi.gap.materiality import Cause, material, simplest
 from quasi.gap.profile import Profile
 from quasi.gap.selection import EXCESSIVE, FORM_ERROR, UNPHYSICAL, Named, Tie, is_absent
+from quasi.gap.statistics.candidates import Candidate, Test
 from quasi.gap.statistics.clustered import ClusteredMixedModel
-from quasi.gap.statistics.mixed import Candidate, Test
 from quasi.model.model import Model
 
 # p-value, with standard errors widened, up to which the leading parameters of a tie, which names nothing, together

@@ -13,7 +13,8 @@ from quasi.gap.flights.evidence import Evidence
 from quasi.gap.levels.forces import spectral_peaks as rhythm
 from quasi.gap.levels.forces.design import LIGHT, base_columns, refit
 from quasi.gap.levels.forces.smooth_functions import Cause, Grounds, Place, mixed_of
-from quasi.gap.statistics.mixed import Candidate, Test, marginal
+from quasi.gap.statistics.candidates import Candidate, Test
+from quasi.gap.statistics.mixed import marginal
 from quasi.gap.statistics.whitening import whiten
 from quasi.model.model import AXES
 

@@ -13,7 +13,7 @@ import numpy as np
 from quasi.gap.catalogue import columns_of, whole_of
 from quasi.gap.effect import Effect, Vehicle
 from quasi.gap.levels.forces.design import Design, moved
-from quasi.gap.statistics.mixed import Candidate
+from quasi.gap.statistics.candidates import Candidate
 
 Sizes = dict[str, dict[str, float]]  # {cause: {parameter: size}}
 

@@ -11,7 +11,7 @@ from quasi.gap.levels.forces.error_reduction import wrench_score
 from quasi.gap.levels.forces.joint_fit import Joint, joint_of, residual_of, slope_of
 from quasi.gap.levels.forces.smooth_functions import Cause, Grounds, Place, level_of, tested
 from quasi.gap.materiality import ASIDE
-from quasi.gap.statistics.mixed import Candidate, Test
+from quasi.gap.statistics.candidates import Candidate, Test
 from quasi.gap.statistics.scores import surely
 
 AGAIN = 0.5  # share of the estimate from other flights that a flight must show

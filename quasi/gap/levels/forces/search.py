@@ -15,8 +15,9 @@ from quasi.gap.levels.forces.nonlinear import chords, started
 from quasi.gap.materiality import Cause, Deviations, seen_in
 from quasi.gap.profile import Profile
 from quasi.gap.selection import FORCES, Named, Rules, Tie, select_causes
+from quasi.gap.statistics.candidates import Candidate, Test
 from quasi.gap.statistics.clustered import ClusteredMixedModel
-from quasi.gap.statistics.mixed import ALL_NEEDED_P, Candidate, MixedModel, Test
+from quasi.gap.statistics.mixed import ALL_NEEDED_P, MixedModel
 
 ASTRAY = 0.5  # of its size, that a cause may move when it is linearised there
 STAYS = 0.02  # of its size, by which a cause that moves less stays where it is

@@ -11,7 +11,8 @@ from quasi.gap.flights.covariates import Basis, Choice, basis_of
 from quasi.gap.flights.evidence import Evidence
 from quasi.gap.levels.forces.design import BAND, MOST_STRETCHES, ORDER, Design, gather_design, joined
 from quasi.gap.statistics.blocks import BLOCK
-from quasi.gap.statistics.mixed import Candidate, Columns, MixedModel, Test, marginal
+from quasi.gap.statistics.candidates import Candidate, Columns, Test
+from quasi.gap.statistics.mixed import MixedModel, marginal
 from quasi.gap.statistics.whitening import thin, whiten
 from quasi.model.model import AXES
 

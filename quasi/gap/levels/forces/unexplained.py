@@ -33,7 +33,7 @@ from quasi.gap.levels.forces.smooth_functions import (
 )
 from quasi.gap.materiality import LEAST_ABOVE_FLOOR
 from quasi.gap.statistics.blocks import HOLDS
-from quasi.gap.statistics.mixed import Candidate, Test
+from quasi.gap.statistics.candidates import Candidate, Test
 from quasi.model.model import AXES
 
 LEAST_LEFT = 0.05  # of the squared error, below which nothing is left to be removed, by what changed

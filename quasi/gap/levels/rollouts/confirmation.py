@@ -28,7 +28,8 @@ from quasi.gap.levels.rollouts import output_error
 from quasi.gap.levels.rollouts.linear_response import Course
 from quasi.gap.levels.rollouts.output_error import Fitted, Values
 from quasi.gap.materiality import Cause, seen_in
-from quasi.gap.statistics.mixed import Candidate, Columns, MixedModel
+from quasi.gap.statistics.candidates import Candidate, Columns
+from quasi.gap.statistics.mixed import MixedModel
 from quasi.gap.statistics.whitening import thin
 from quasi.model.model import AXES, Model
 

@@ -33,7 +33,8 @@ from quasi.gap.levels.rollouts.linear_response import Course, course_of, respons
 from quasi.gap.levels.rollouts.open_loop import flight_of, simulated, vectors
 from quasi.gap.materiality import Cause
 from quasi.gap.statistics.blocks import BLOCK
-from quasi.gap.statistics.mixed import Columns, MixedModel
+from quasi.gap.statistics.candidates import Columns
+from quasi.gap.statistics.mixed import MixedModel
 from quasi.gap.statistics.whitening import Thinned
 from quasi.model.model import Model
 

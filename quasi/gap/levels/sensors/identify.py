@@ -22,7 +22,7 @@ from quasi.gap.levels.sensors.products import added, alone, blocks_of, spread_of
 from quasi.gap.levels.sensors.tables import tables
 from quasi.gap.profile import Profile
 from quasi.gap.selection import Rules, Selection, select_causes
-from quasi.gap.statistics.mixed import Candidate, Columns, Test
+from quasi.gap.statistics.candidates import Candidate, Columns, Test
 from quasi.gap.statistics.whitening import Whitener
 from quasi.importing.calibration import check
 

@@ -9,7 +9,7 @@ from quasi.gap.flights.level import Flown
 from quasi.gap.flights.residual_tables import Residuals, level_tables
 from quasi.gap.levels.sensors.columns import KEPT_RATE, SENSED_CHANNELS, Weak
 from quasi.gap.levels.sensors.products import added, alone, blocks_of, least_squares
-from quasi.gap.statistics.mixed import Candidate, Columns, Test
+from quasi.gap.statistics.candidates import Candidate, Columns, Test
 from quasi.gap.statistics.whitening import Whitener
 
 
