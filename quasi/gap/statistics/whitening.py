@@ -100,16 +100,21 @@ def whiten(columns: np.ndarray, breaks: np.ndarray, whitener: Whitener) -> tuple
     return np.concatenate(parts), np.concatenate(rows)
 
 
+def channel_grams(
+    columns: np.ndarray, breaks: np.ndarray, whitener: Whitener, t: np.ndarray, seconds: float
+) -> np.ndarray:
+    """Cross-products (B, C, P, P) of the whitened columns, one for each block of `seconds` and channel."""
+    white, rows = whiten(columns, breaks, whitener)
+    if not len(rows):
+        return np.zeros((0, *columns.shape[1:], columns.shape[2]))
+    number = ((t[rows] - t[rows[0]]) / seconds).astype(int)
+    white = white.transpose(1, 0, 2)
+    blocks = (white[:, number == n] for n in np.unique(number))
+    return np.array([w.transpose(0, 2, 1) @ w for w in blocks])
+
+
 def block_grams(
     columns: np.ndarray, breaks: np.ndarray, whitener: Whitener, t: np.ndarray, seconds: float
 ) -> np.ndarray:
     """Cross-products (B, P, P) of the whitened columns, one for each block of `seconds`, all channels together."""
-    white, rows = whiten(columns, breaks, whitener)
-    if not len(rows):
-        return np.zeros((0, columns.shape[2], columns.shape[2]))
-    number = ((t[rows] - t[rows[0]]) / seconds).astype(int)
-    grams = []
-    for n in np.unique(number):
-        block = white[number == n].reshape(-1, columns.shape[2])
-        grams.append(block.T @ block)
-    return np.array(grams)
+    return channel_grams(columns, breaks, whitener, t, seconds).sum(axis=1)

@@ -10,11 +10,9 @@ from typing import NamedTuple
 import numpy as np
 from scipy.stats import chi2
 
-from quasi.gap.levels.forces.design import Design, in_stretches
-from quasi.gap.statistics.blocks import BLOCK
+from quasi.gap.levels.forces.design import Design
 from quasi.gap.statistics.candidates import Candidate, Test
 from quasi.gap.statistics.clustered import ClusteredMixedModel
-from quasi.gap.statistics.whitening import block_grams
 from quasi.model.model import AXES
 
 AXIS_T = 3.0  # |t| of an axis that speaks against a cause, and that it must show of the cause to have a say
@@ -45,13 +43,8 @@ def voices(
     """
     own = [study.columns.causes[test.offer.cause][k] for k in test.offer.which]
     size = len(study.names)
-    grams, there = [], np.zeros(len(AXES), bool)
-    for flight, part in zip(study.flights, study.thinned):
-        made = part.columns[:, :, own] @ test.value
-        there |= (made**2).any(axis=0)
-        columns = np.concatenate([part.columns, made[:, :, None] * np.eye(len(AXES))], axis=2)
-        blocks = block_grams(columns, part.breaks, study.whitener, flight.t[part.rows], BLOCK)
-        grams.append(in_stretches(blocks, len(study.flights)))
+    grams = [_with_axes(part, own, test.value) for part in study.channels]
+    there = sum(np.einsum("kii->i", gram[:, size:, size:]) for gram in grams) > 0.0
     names: Mapping[str, list[int]] = {a: [size + k] for k, a in enumerate(AXES) if there[k]}
     usual = study.columns.bounds.get(test.offer.cause, np.full(len(own), np.inf))
     amount = np.min(np.asarray(usual)[list(test.offer.which)] / np.maximum(np.abs(test.value), 1e-300))
@@ -68,6 +61,19 @@ def voices(
         found, between = mixed.test(offer, others, base), mixed.between(offer, others, base)
         result.append(Voice(axis, float(found.value[0]), float(max(found.std[0], between.std[0]))))
     return result
+
+
+def _with_axes(channels: np.ndarray, own: Sequence[int], value: np.ndarray) -> np.ndarray:
+    """Cross-products (K, P + 6, P + 6) of stretches with what a cause of a value adds to each axis by itself."""
+    count, axes, size, _ = channels.shape
+    grams = np.zeros((count, size + axes, size + axes))
+    grams[:, :size, :size] = channels.sum(axis=1)
+    cross = channels[:, :, :, own] @ value  # (K, 6, P)
+    grams[:, size:, :size] = cross
+    grams[:, :size, size:] = np.swapaxes(cross, 1, 2)
+    each = size + np.arange(axes)
+    grams[:, each, each] = cross[:, :, own] @ value
+    return grams
 
 
 def disagreement(heard: Sequence[Voice], wald: float) -> float:

@@ -18,7 +18,7 @@ from quasi.gap.statistics.blocks import BLOCK
 from quasi.gap.statistics.candidates import Columns
 from quasi.gap.statistics.clustered import ClusteredMixedModel
 from quasi.gap.statistics.mixed import MixedModel, marginal
-from quasi.gap.statistics.whitening import Thinned, Whitener, autoregression, block_grams, thin
+from quasi.gap.statistics.whitening import Thinned, Whitener, autoregression, channel_grams, thin
 from quasi.model.model import AXES
 from quasi.terms.expressions import Program, parse
 from quasi.terms.variables import Variables
@@ -38,6 +38,7 @@ class Design(NamedTuple):
     flights   evidence, in order; thinned  their columns (m, 6, P) in the band of the analysis
     columns   what is what in them; names  of all columns
     blocks    per flight (B, P, P) whitened cross-products of its blocks
+    channels  per flight (K, 6, P, P) whitened cross-products of each stretch and channel, see `in_stretches`
     raw       per flight (6, P, P) plain cross-products per channel, for mean squared errors
     whitener  of the residuals; lacking {cause: why it cannot be asked}
     values    per flight, that causes are linearised at: a reference flight has none of what changed
@@ -48,6 +49,7 @@ class Design(NamedTuple):
     columns: Columns
     names: list[str]
     blocks: list[np.ndarray]
+    channels: list[np.ndarray]
     raw: list[np.ndarray]
     whitener: Whitener
     lacking: dict[str, str]
@@ -260,12 +262,13 @@ def _study(
     flights: Sequence[Evidence], thinned: list[Thinned], layout: Columns, names: list[str], whitener: Whitener,
     lacking: dict[str, str], values: Sequence[Values],
 ) -> Design:  # fmt: skip
-    blocks = [
-        block_grams(part.columns, part.breaks, whitener, flight.t[part.rows], BLOCK)
-        for part, flight in zip(thinned, flights)
-    ]
+    blocks, channels = [], []
+    for part, flight in zip(thinned, flights):
+        grams = channel_grams(part.columns, part.breaks, whitener, flight.t[part.rows], BLOCK)
+        blocks.append(grams.sum(axis=1))
+        channels.append(in_stretches(grams, len(flights)))
     raw = [np.einsum("nki,nkj->kij", part.columns, part.columns, optimize=True) for part in thinned]
-    return Design(list(flights), thinned, layout, names, blocks, raw, whitener, lacking, values)
+    return Design(list(flights), thinned, layout, names, blocks, channels, raw, whitener, lacking, values)
 
 
 def own_fit(stack: np.ndarray, layout: Columns) -> np.ndarray:

@@ -13,7 +13,7 @@ from quasi.gap.levels.forces.design import BAND, MOST_STRETCHES, ORDER, Design, 
 from quasi.gap.statistics.blocks import BLOCK
 from quasi.gap.statistics.candidates import Candidate, Columns, Test
 from quasi.gap.statistics.mixed import MixedModel, marginal
-from quasi.gap.statistics.whitening import thin, whiten
+from quasi.gap.statistics.whitening import channel_grams, thin
 from quasi.model.model import AXES
 
 MOST_FUNCTIONS = 6  # functions of what is unexplained
@@ -88,11 +88,8 @@ def grounds_of(
         columns = np.concatenate(
             [part.columns, np.broadcast_to(functions[:, None], (len(functions), 6, functions.shape[1]))], axis=2
         )
-        white, rows = whiten(columns, part.breaks, study.whitener)
-        number = ((flight.t[part.rows][rows] - flight.t[part.rows][rows[0]]) / BLOCK).astype(int)
-        white = white.transpose(1, 0, 2)
-        blocks = [w.transpose(0, 2, 1) @ w for w in (white[:, number == n] for n in np.unique(number))]
-        parts.append(joined(np.array(blocks), MOST_STRETCHES // len(flights)))
+        blocks = channel_grams(columns, part.breaks, study.whitener, flight.t[part.rows], BLOCK)
+        parts.append(joined(blocks, MOST_STRETCHES // len(flights)))
         sums.append(parts[-1][:, :, :size, :size].sum(axis=1))
     return Grounds(study, basis, parts, sums, thinned, [f.session for f in flights])
 
