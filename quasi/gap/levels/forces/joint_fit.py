@@ -45,18 +45,32 @@ def joint_of(
     functions = [(p, t.value) for p, t in found]
     base = None
     if any(o.since == "always" for o in given) or any(p.since == "always" for p, _ in functions):
-        raw = []
-        for part, basis, flag in zip(study.thinned, grounds.thinned, compared):
-            columns = part.columns.copy()
-            for place, value in functions:
-                if flag or place.since == "always":
-                    columns[:, place.channel, 0] -= basis[:, list(place.choice.which)] @ value
-            raw.append(np.einsum("nki,nkj->kij", columns, columns))
+        raw = [
+            _less(gram, part.columns, basis, [(p, v) for p, v in functions if flag or p.since == "always"])
+            for gram, part, basis, flag in zip(study.raw, study.thinned, grounds.thinned, compared)
+        ]
         taken: dict[tuple[str, str], dict[int, float]] = {}
         for effect, offer, _, own in fitted:
             taken.setdefault((effect.id, offer.since), {}).update({effect.fitted.index(n): v for n, v in own.items()})
         base = refit(study._replace(raw=raw), range(len(raw)), compared, taken)
     return Joint(base, fitted, functions, grounds.basis)
+
+
+def _less(
+    raw: np.ndarray, columns: np.ndarray, basis: np.ndarray, functions: Sequence[tuple[Place, np.ndarray]]
+) -> np.ndarray:
+    """Cross-products (6, P, P) of a flight's columns (n, 6, P) once functions are taken out of its residual."""
+    made = np.zeros(columns.shape[:2])
+    for place, value in functions:
+        made[:, place.channel] += basis[:, list(place.choice.which)] @ value
+    raw = raw.copy()
+    for channel in np.flatnonzero(made.any(axis=0)):
+        own = made[:, channel]
+        cross = own @ columns[:, channel]
+        raw[channel, 0] -= cross
+        raw[channel, :, 0] -= cross
+        raw[channel, 0, 0] += own @ own
+    return raw
 
 
 def slope_of(

@@ -132,8 +132,9 @@ def blocks_of(stack: np.ndarray, noise: np.ndarray, blocks: np.ndarray) -> np.nd
     """Cross-products (B, P, P) of windows (S, D, P) weighed by R^-1, block after block; diverged windows left out."""
     good = np.isfinite(stack).all(axis=(1, 2))
     white = np.linalg.solve(np.linalg.cholesky(noise), stack[good])
-    numbers = blocks[good]
-    return np.array([np.einsum("sdi,sdj->ij", w, w) for n in np.unique(numbers) for w in [white[numbers == n]]])
+    numbers, size = blocks[good], stack.shape[2]
+    rows = (white[numbers == n].reshape(-1, size) for n in np.unique(numbers))
+    return np.array([own.T @ own for own in rows])
 
 
 @dataclass
