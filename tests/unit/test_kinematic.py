@@ -266,6 +266,22 @@ def test_noise_of_either_source_makes_no_cause(noise, capture):
             assert (np.abs(test.value) < 4.0 * test.std).all(), (cause, since, test.value, test.std)
 
 
+@pytest.mark.parametrize("noise", [0.05, 1.0, 3.0])
+def test_noise_of_the_accelerometer_does_not_shorten_a_delay(noise):
+    """The slope of a noisy signal is mostly noise: a delay that is estimated with it would be too small."""
+    delays = []
+    for seed in (1, 2, 3):
+        flight = flown(seed, noise=noise, capture=1e-3)
+        frame, t = flight.imported.copy(), flight.imported["t"].to_numpy()
+        for axis in "xyz":  # clocks are tied by rotation: positions are early
+            frame[axis] = np.interp(t + 0.03, t, frame[axis])
+        weak = weak_form(replace(flight, imported=frame, airframe=replace(FRAME, marker_offset=np.zeros(3))))
+        late, clock = (weak.columns[:, 3:, weak.names.index(n)] for n in ("mocap_delay.delay", "clock.offset"))
+        column, residual = (late - clock).ravel(), weak.columns[:, 3:, 0].ravel()
+        delays.append(column @ residual / (column @ column))
+    assert np.mean(delays) == pytest.approx(0.03, rel=0.15), delays
+
+
 def test_tables_tell_where_residuals_live_and_what_a_cause_took_off():
     flights = [flown(s, gyro_scale=np.array([1.1, 1.0, 1.0])) for s in (1, 2, 3)]
     tables = examine(flights, {}).tables

@@ -157,6 +157,23 @@ def least_noise(raw: np.ndarray, rates: np.ndarray, other: np.ndarray, good: np.
     return (1.0 - share) * rates + share * other
 
 
+def calibrated(measured: np.ndarray, predicted: np.ndarray, other: np.ndarray, good: np.ndarray) -> np.ndarray:
+    """What is expected of a quantity (n, 3) whose measurement is noisy: a column that a delay is estimated with.
+
+    measured  with noise; predicted  as by `noise_free`: without noise, and without some of the motion; other  the same
+    quantity by the other source, with noise of its own; good (n,) rows whose windows hold nothing else
+    With the measured one a delay would be too small, by noise over signal power. Of its difference from the predicted
+    one, the share that is motion is the one that the other source shows as well.
+    Source: Carroll, Ruppert, Stefanski & Crainiceanu, Measurement Error in Nonlinear Models, 2nd ed., 2006, chapter 4
+    (regression calibration).
+    """
+    if np.count_nonzero(good) < FEWEST_KEPT:
+        return measured
+    apart, shown = ((of - predicted)[good] for of in (measured, other))
+    share = np.mean(apart * shown, axis=0) / np.maximum(np.mean(apart**2, axis=0), 1e-300)
+    return predicted + np.clip(share, 0.0, 1.0) * (measured - predicted)
+
+
 def straightened(flown: Flown, calibration: Mapping[str, Mapping[str, np.ndarray]], late: float) -> Flown:
     """The flight with turned axes, scales, the room and a late rotation set right, as far as they were found.
 
@@ -263,7 +280,15 @@ def weak_form(flown: Flown) -> Weak:
     axes = _average(turn, window)
     swing = _average(turn - turn.mean(axis=0), bend)
     coriolis = _average(earth(np.cross(w, f)), window)
-    jerk = _average(force + down, slope) - coriolis
+    spoiled = ~good
+    far = len(window) // 2 + reach
+    fine = np.convolve(spoiled.astype(float), np.ones(2 * far + 1), "same") < 0.5
+    fine[:far] = fine[-far:] = False
+    slopes = _average(force + down, slope), np.gradient(_average(x - x.mean(0), bend), dt, axis=0)
+    felt_slope, seen_slope = (np.einsum("nji,nj->ni", turn, of) for of in slopes)
+    known_slopes = [*np.cross(rates, f_free).T, *_thrusts(frame, slope)]
+    slope_free = noise_free(felt_slope, seen_slope, known_slopes, good, lag)
+    jerk = earth(calibrated(felt_slope, slope_free, seen_slope, fine)) - coriolis
     for i, axis in enumerate(XYZ):
         add(f"gyro_bias.{axis}", unit[i], nothing)
         add(f"gyro_scale.{axis}", rates_free * unit[i], nothing)
@@ -291,10 +316,6 @@ def weak_form(flown: Flown) -> Weak:
         leaning = lean(force + down, 1.0 / dt)
         add("attitude_error.gain", nothing, _average(np.cross(leaning, force), window))
 
-    spoiled = ~good
-    far = len(window) // 2 + reach
-    fine = np.convolve(spoiled.astype(float), np.ones(2 * far + 1), "same") < 0.5
-    fine[:far] = fine[-far:] = False
     every = max(round(1.0 / (KEPT_RATE * dt)), 1)
     rows = np.arange(0, len(t), every)
     rows = rows[fine[rows]]
