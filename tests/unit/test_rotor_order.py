@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 import numpy as np
+import pandas as pd
 import pytest
 from plain_plant import made_model, with_simple_model
 from test_gap_halves import flown as fly
@@ -11,7 +12,7 @@ from quasi.errors import ConfigError
 from quasi.gap.catalogue import catalogue
 from quasi.gap.diagnosis import verdict_of
 from quasi.gap.flights.level import Flown
-from quasi.gap.levels import sensors_and_drive
+from quasi.gap.levels import rotor_order, sensors_and_drive
 from quasi.gap.levels.corrections import for_flight
 from quasi.gap.levels.rotor_order import ID, ORDERS, effect_of, find_rotor_order, reordered, sentence_of
 from quasi.gap.report.wording import happening
@@ -65,6 +66,20 @@ def test_speeds_alone_in_another_order_leave_the_commands(flights, model):
     found = find_rotor_order([logged(f, (2, 1, 0, 3), False) for f in flights], model)
     assert found.speeds == (2, 1, 0, 3) and found.commands == (0, 1, 2, 3)
     assert found.calibration() == {"rotors": {"order of speeds": [3, 2, 1, 4]}}
+
+
+@pytest.mark.parametrize("order", [(0, 2, 1, 3), (0, 1, 2, 3)])
+def test_quick_commands_that_speeds_follow_late_keep_their_order(order):
+    """At 8 Hz the speeds lag by more than a quarter of a period: as they are, own commands are the least alike."""
+    t = np.arange(0.0, 20.0, 0.002)
+    phases = np.random.default_rng(1).uniform(0.0, 2.0 * np.pi, 4)
+    commands = np.sin(2.0 * np.pi * 8.0 * t[:, None] + phases)
+    table = pd.DataFrame({"t": t} | {f"command{i + 1}": commands[:, k] for i, k in enumerate(order)})
+    own = pd.DataFrame(commands)
+    late = rotor_order._lagged(rotor_order._lagged(own, 0.025, 0.002), 0.025, 0.002).to_numpy()
+    table = table.assign(**{f"w{i + 1}": late[:, k] for i, k in enumerate((0, 2, 1, 3))})
+    assert np.mean(late * commands) < 0.0
+    assert rotor_order._order_of_commands([table], (0, 2, 1, 3)) == order
 
 
 def test_the_right_order_a_weak_rotor_and_flights_of_two_orders_are_left_alone(flights, model):

@@ -32,6 +32,7 @@ RIGHT = tuple(range(4))
 ORDERS = tuple(itertools.permutations(RIGHT))  # order[i]: column, from 0, that holds rotor i
 DECISIVE = np.log(100.0)  # of the odds, beyond the 23 to 1 that chance has more tries with the other orders
 ROTOR_COLUMNS = ("w{}", "w{}_dot")
+LAGS = (0.0, 0.01, 0.02, 0.04, 0.08)  # s, time constants from none to that of a large rotor
 COMMAND_COLUMNS = ("command{}", "command{}_raw", "w{}_CMD", "w{}_CMD_raw")
 
 
@@ -160,11 +161,27 @@ def _order_of_commands(tables: Sequence[pd.DataFrame], speeds: tuple[int, ...]) 
 
 
 def _likeness(table: pd.DataFrame, names: Sequence[str], speeds: Sequence[int], order: Sequence[int]) -> float:
-    """Covariance of commands with speeds, both by what single rotors have beyond the mean of all, over rows known."""
-    both = np.hstack([table[[f"w{i + 1}" for i in speeds]], table[[names[i] for i in order]]]).astype(float)
+    """Largest correlation of lagged commands with speeds, both by what single rotors have beyond the mean of all.
+
+    A controller's quick commands are turns of one sense after turns of the other: without the rotors' lag, the speed of
+    one rotor may resemble the command of its neighbour more than its own.
+    """
+    turning, asked = table[[f"w{i + 1}" for i in speeds]], table[[names[i] for i in order]]
+    dt = float(np.median(np.diff(table["t"])))
+    return max(_correlation(turning, _lagged(asked, lag, dt)) for lag in LAGS)
+
+
+def _lagged(columns: pd.DataFrame, lag: float, dt: float) -> pd.DataFrame:
+    """First-order lag of columns every dt seconds, over rows known."""
+    return columns.ewm(alpha=1.0 - np.exp(-dt / lag), adjust=False).mean() if lag else columns
+
+
+def _correlation(one: pd.DataFrame, other: pd.DataFrame) -> float:
+    both = np.hstack([one, other]).astype(float)
     both = both[np.isfinite(both).all(axis=1)]
     parts = [part - part.mean(axis=1, keepdims=True) for part in (both[:, :4], both[:, 4:])]
-    return float(np.mean(parts[0] * parts[1])) if len(both) else 0.0
+    sizes = np.prod([np.sqrt(np.mean(part**2)) for part in parts]) if len(both) else 0.0
+    return float(np.mean(parts[0] * parts[1]) / sizes) if sizes > 0.0 else 0.0
 
 
 def effect_of(found: Mapping[str, Any], since: str = "changed") -> dict[str, Any]:
