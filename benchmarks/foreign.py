@@ -1,7 +1,7 @@
 """Flights of foreign simulators: does a gap name the one parameter that was changed in them, and nothing else?
 
     python benchmarks/foreign.py PLACE OUT [--simulators rotorpy mujoco] [--cases mass ...] [--seeds 1 2] [--record]
-                                 [--without speeds accelerometer gyro] [--rough]
+                                 [--without speeds accelerometer gyro] [--lab rough]
 
 PLACE is a folder with the simulators, which are no dependency of quasi (`pip install --target PLACE --no-deps rotorpy
 mujoco drone-models casadi array-api-compat array-api-extra`). For each simulator and seed, OUT holds one project
@@ -9,8 +9,9 @@ folder, as a lab would have it: four reference flights, and five flights per cas
 changes one parameter of the simulator, or of the sensors when the logs are written. The workflow imports, filters,
 identifies and compares. Flights and results stay in OUT, so that a second run makes only what is missing.
 
---rough gives the sensors ten times the noise, half the rate and gaps. --without diagnoses the same logs without rotor
-speeds, accelerometer or gyro, in their own project folders. Nothing is recorded of either.
+--lab gives other sensors: "rough" has ten times the noise, half the rate and gaps, "slow" logs at 100 Hz. --without
+diagnoses the same logs without rotor speeds, accelerometer or gyro, in their own project folders. Nothing is recorded
+of either.
 """
 
 import argparse
@@ -29,7 +30,7 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import numpy as np
 from foreign_cases import SIMULATORS, Case, vehicle_of
-from foreign_flights import ROUGH, Motion, Sensors, Vehicle, film, measure, write_arrays, write_csv, write_vicon
+from foreign_flights import LABS, Motion, Sensors, Vehicle, film, measure, write_arrays, write_csv, write_vicon
 from foreign_pilot import course
 from measured_table import RESULTS, record
 
@@ -53,7 +54,7 @@ def slug(name: str) -> str:
 def write_flight(folder: Path, simulator: str, key: str, seeds: tuple[int, int], case: Case) -> None:
     """Fly, and write log and capture, where they are not there yet; seeds of the course and of the sensors.
 
-    A folder whose name ends with `rough` gets the sensors of `ROUGH`.
+    A folder whose name ends with one of `LABS` gets its sensors.
     """
     module = vehicle_of(simulator)
     arrays = module.vehicle().arrays
@@ -62,7 +63,7 @@ def write_flight(folder: Path, simulator: str, key: str, seeds: tuple[int, int],
         return
     onboard.parent.mkdir(parents=True, exist_ok=True)
     motion = flown(folder / f"motions/{seeds[0]}.npz", module, seeds[0], case)
-    lab = ROUGH if folder.name.endswith("-rough") else {}
+    lab = LABS.get(folder.name.rsplit("-", 1)[-1], {})
     rng, sensors = np.random.default_rng(seeds[1]), Sensors(**{**module.SENSORS, **lab, **case.sensors})
     board, poses = measure(motion, sensors, rng), film(motion, sensors, rng)
     if arrays:
@@ -258,9 +259,9 @@ def main() -> None:
     parser.add_argument("--seeds", nargs="*", type=int, default=[1])
     parser.add_argument("--record", action="store_true")
     parser.add_argument("--without", nargs="*", default=[], choices=list(SIGNALS), help="signals that are withheld")
-    parser.add_argument("--rough", action="store_true", help="ten times the noise, half the rate, gaps in the capture")
+    parser.add_argument("--lab", choices=list(LABS), help="other sensors")
     arguments = parser.parse_args()
-    if arguments.record and (arguments.without or arguments.rough):
+    if arguments.record and (arguments.without or arguments.lab):
         parser.error("--record is for whole logs of usual sensors")
     sys.path.append(str(arguments.place))
     tally: dict[str, list[str]] = {}
@@ -269,7 +270,7 @@ def main() -> None:
         every = SIMULATORS[simulator]()
         cases = {k: c for k, c in every.items() if not arguments.cases or any(p in k for p in arguments.cases)}
         for seed in arguments.seeds:
-            folder = arguments.out.resolve() / f"{simulator}-{seed}{'-rough' if arguments.rough else ''}"
+            folder = arguments.out.resolve() / "-".join(filter(None, (simulator, str(seed), arguments.lab)))
             for name, case in cases.items():
                 there = {k: c for k, c in every.items() if k == name or (is_flown(folder, k))}
                 write_project(folder, simulator, seed, there)
@@ -287,7 +288,7 @@ def main() -> None:
                 true = ", ".join(f"{k} {v:.4g}" for k, v in list(case.value.items())[:3]) or "-"
                 rows.append(
                     [
-                        f"{simulator} {seed}{' rough' if arguments.rough else ''}",
+                        " ".join(filter(None, (simulator, str(seed), arguments.lab))),
                         name,
                         true,
                         answer(found),

@@ -66,10 +66,14 @@ class Sensors:
     gaps: int = 0  # spans of 0.3 s that the capture lacks
 
 
-# a loose frame, a log of half the rate, and markers at the edge of what cameras see
-ROUGH: dict[str, Any] = {
-    "accelerometer_noise": 3.0, "gyro_noise": 0.05, "vibration": 6.0, "capture_noise": 1e-3, "attitude_noise": 5e-3,
-    "telemetry_noise": 0.01, "logged": 250, "captured": 100, "gaps": 4,
+LABS: dict[str, dict[str, Any]] = {
+    # a loose frame, a log of half the rate, and markers at the edge of what cameras see
+    "rough": {
+        "accelerometer_noise": 3.0, "gyro_noise": 0.05, "vibration": 6.0, "capture_noise": 1e-3, "attitude_noise": 5e-3,
+        "telemetry_noise": 0.01, "logged": 250, "captured": 100, "gaps": 4,
+    },
+    # a log by radio: vibration folds into the motion
+    "slow": {"accelerometer_noise": 1.0, "vibration": 3.0, "logged": 100, "captured": 200, "telemetry_noise": 0.005},
 }  # fmt: skip
 
 
