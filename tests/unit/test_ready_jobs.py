@@ -1,13 +1,18 @@
 """The scheduler weighs a few of the ready jobs, those of highest priority among them."""
 
+import subprocess
 import sys
 import time
+from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
 from snakemake.scheduling.job_scheduler import JobScheduler
 
 from quasi.running.ready_jobs import SPARE, keep_one_timer, weigh_few
+
+
+ROOT = Path(__file__).resolve().parents[2]
 
 
 class Scheduler:
@@ -25,6 +30,21 @@ weigh_few(Scheduler)
 
 def test_snakemake_still_selects_by_the_method_that_is_replaced():
     assert "job_selector" in JobScheduler.schedule.__code__.co_names
+
+
+def test_a_run_replaces_both_methods(tmp_path):
+    program = """import sys
+from snakemake.cli import main
+from snakemake.scheduling.job_scheduler import JobScheduler
+try:
+    main(sys.argv[1:])
+except SystemExit:
+    pass
+print(JobScheduler.job_selector.__module__, JobScheduler._schedule_reevalutation.__module__)
+"""
+    asked = ["-s", str(ROOT / "Snakefile"), "-d", str(tmp_path), "--dry-run", "models/none/standalone"]
+    done = subprocess.run([sys.executable, "-c", program, *asked], capture_output=True, text=True, check=True)
+    assert done.stdout.split()[-2:] == ["quasi.running.ready_jobs"] * 2
 
 
 @pytest.mark.parametrize(("cores", "nodes"), [(2, sys.maxsize), (sys.maxsize, 300), (0, sys.maxsize)])
