@@ -41,7 +41,6 @@ from quasi.project.workflow import Folder
 # parts of Snakemake that are no interface: where a later one has moved them, each job starts Python anew, files are
 # read several times, what failed jobs leave may count as finished, and Snakemake's own handler answers SIGTERM
 try:
-    from snakemake.benchmark import benchmarked
     from snakemake.io import _IOFile
     from snakemake.jobs import Job
     from snakemake.scheduling.job_scheduler import JobScheduler
@@ -165,7 +164,7 @@ if (
 ):
     SERVER = JobServer(cores=workflow.cores)
     atexit.register(SERVER.close)
-    use_server(PythonScript, SERVER, benchmarked)
+    use_server(PythonScript, SERVER)
 
 if _IOFile is not None:
     read_once(_IOFile)

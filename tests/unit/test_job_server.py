@@ -6,11 +6,12 @@ import signal
 import subprocess
 import sys
 import time
-from contextlib import nullcontext, suppress
+from contextlib import suppress
 from types import SimpleNamespace
 
 import psutil
 import pytest
+from snakemake.benchmark import BenchmarkRecord
 from snakemake.script import PythonScript
 
 from quasi.running.job_server import JobServer, use_server
@@ -96,14 +97,24 @@ def test_scripts_of_snakemake_run_in_the_server_unless_they_ask_for_more(server,
     monkeypatch.chdir(tmp_path)
     started = []
     monkeypatch.setattr(PythonScript, "execute_script", lambda self, fname, edit=False: started.append(fname))
-    use_server(PythonScript, server, lambda pid, record: nullcontext(record.append(pid)))
+    use_server(PythonScript, server)
     (tmp_path / "script.py").write_text("import os, sys; sys.exit(int(os.environ['OMP_NUM_THREADS']) + 40)")
     job = SimpleNamespace(
-        threads=1, conda_env=None, container_img=None, env_modules=None, resources={}, bench_record=[]
+        threads=1, conda_env=None, container_img=None, env_modules=None, resources={}, bench_record=None
     )
     with pytest.raises(subprocess.CalledProcessError) as raised:
         PythonScript.execute_script(job, "script.py")
-    assert raised.value.returncode == 41 and len(job.bench_record) == 1
+    assert raised.value.returncode == 41
+    (tmp_path / "script.py").write_text(
+        "import time\nheld = bytearray(300 << 20)\nwhile time.process_time() < 0.4: pass\n"
+        "open('file', 'wb').write(bytes(4 << 20))"
+    )
+    job.bench_record = BenchmarkRecord()
+    PythonScript.execute_script(job, "script.py")
+    used = dict(zip(BenchmarkRecord.get_header(False), job.bench_record.to_tsv(False).split("\t")))
+    assert 0.4 <= float(used["cpu_time"]) <= float(used["s"]) + 0.1
+    assert 300.0 < float(used["max_rss"]) < 1000.0
+    assert float(used["mean_load"]) == pytest.approx(100.0 * float(used["cpu_time"]) / float(used["s"]), rel=0.05)
     job.threads = 2
     PythonScript.execute_script(job, "own.py")
     assert started == ["own.py"]

@@ -11,7 +11,6 @@ from snakemake.scheduling.job_scheduler import JobScheduler
 
 from quasi.running.ready_jobs import SPARE, keep_one_timer, weigh_few
 
-
 ROOT = Path(__file__).resolve().parents[2]
 
 
