@@ -18,7 +18,7 @@ from quasi.gap.flights.level import Flown
 from quasi.gap.levels.sensors.columns import SIGMA, noise_free, weak_form, windows
 from quasi.gap.levels.sensors.findings import shaken, torn
 from quasi.gap.levels.sensors.identify import NORMAL_SPREAD, examine, size_of
-from quasi.gap.levels.sensors.products import blocks_of, spread_of_slopes, whitener_of
+from quasi.gap.levels.sensors.products import blocks_of, dispersion, spread_of_slopes, whitener_of
 from quasi.gap.statistics.candidates import Candidate
 from quasi.importing.resampling import resample_attitude
 
@@ -282,6 +282,35 @@ def test_noise_of_the_accelerometer_does_not_shorten_a_delay(noise):
     assert np.mean(delays) == pytest.approx(0.03, rel=0.15), delays
 
 
+def with_folded_line(flight, seed):
+    """The flight with vibration folded to a line of another low frequency every few seconds."""
+    rng = np.random.default_rng(seed)
+    frame = flight.imported.copy()
+    frequency = np.repeat(rng.uniform(0.3, 3.0, 12), len(frame) // 12 + 1)[: len(frame)]
+    phase = 2.0 * np.pi * np.cumsum(frequency) / RATE
+    for column, size in (*((c, 0.4) for c in ("ax", "ay", "az")), *((c, 0.02) for c in "pqr")):
+        frame[column] += size * np.sin(phase + rng.uniform(0.0, 2.0 * np.pi))
+    return replace(flight, imported=frame)
+
+
+def test_noise_of_few_lines_widens_the_errors_and_white_noise_does_not():
+    usual = [flown(s, noise=0.3) for s in (1, 2, 3)]
+    lines = [with_folded_line(flight, seed) for seed, flight in enumerate(usual)]
+    found = []
+    for flights in (usual, lines):
+        weak = [weak_form(flight) for flight in flights]
+        found.append(dispersion([blocks_of(w, whitener_of(w)) for w in weak], weak[0].names))
+    assert np.mean(list(found[0].values())) < 1.3
+    for cause in ("mocap_delay", "accelerometer_scale", "imu_misalignment"):
+        assert found[1][cause] > 1.5, (cause, found)
+    tests, offer = examine(lines, {}).tests, Candidate("gyro_scale", "always", (0, 1, 2))
+    wide = tests.test(offer)
+    tests.dispersed["gyro_scale"] /= 2.0
+    narrow = tests.test(offer)
+    np.testing.assert_allclose(wide.std**2, 2.0 * narrow.std**2)
+    assert wide.wald == pytest.approx(0.5 * narrow.wald) and wide.p > narrow.p
+
+
 def test_tables_tell_where_residuals_live_and_what_a_cause_took_off():
     flights = [flown(s, gyro_scale=np.array([1.1, 1.0, 1.0])) for s in (1, 2, 3)]
     tables = examine(flights, {}).tables
@@ -396,7 +425,8 @@ def test_what_instruments_predict_of_a_small_signal_holds_no_noise():
         good = np.ones(rows, bool)
         good[4000:4080] = False
         more = list(smooth(7, 1.0, window).T)
-        predicted = noise_free(slow + noise, slow + smooth(3, 0.16, window), more, good, lag)
+        shifted = [slow + noise, slow + smooth(3, 0.16, window)]
+        predicted = noise_free(shifted[0], shifted, more, good, lag)
         predicted -= predicted.mean(axis=0)
         shares.append(np.sum(predicted * noise) / np.sum(predicted**2))
     assert abs(np.mean(shares)) < 0.15

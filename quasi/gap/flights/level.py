@@ -86,6 +86,7 @@ class SensorMixedModel(MixedModel):
     unpooled  causes that the base holds already, with what is known of them
     common    {cause: standard deviation of what healthy set-ups have in all flights alike}, added to the covariance of
               what all flights have in common
+    dispersed {cause: factor of its variances where noise is not white}
     sessions  name of each flight's session, see `Mixed`. Healthy sessions differ as healthy flights do: sensors are
               turned on, seated and calibrated anew
     """
@@ -95,7 +96,7 @@ class SensorMixedModel(MixedModel):
     def __init__(
         self, grams: Sequence[np.ndarray], compared: Sequence[bool], columns: Columns, freedom: float,
         prior: np.ndarray | None = None, unpooled: Sequence[str] = (), common: Mapping[str, float] | None = None,
-        sessions: Sequence[str] = (),
+        sessions: Sequence[str] = (), dispersed: Mapping[str, float] | None = None,
     ) -> None:  # fmt: skip
         of_session = {"session": tuple(columns.nuisance), "session_spread": tuple(columns.spread)}
         columns = columns._replace(unpooled=tuple(unpooled), **of_session)
@@ -103,17 +104,18 @@ class SensorMixedModel(MixedModel):
         if sessions and sessions[0] and len(set(sessions)) == 1:
             # what the one session has is in all flights alike, and no evidence of a fault that they all have
             self._sessions = [np.ones(len(self.compared), bool)]
-        self.common = dict(common or {})
+        self.common, self.dispersed = dict(common or {}), dict(dispersed or {})
         groups = 1 if self.compared.all() else 2
         self.freedom = max(len(grams) - groups, 1) + freedom
 
     def test(self, offer: Candidate, given: Sequence[Candidate] = (), pooled: Sequence[str] = ()) -> Test:
         """A cause with other causes given, see `MixedModel.test`; what healthy set-ups have in common is no fault."""
         test = super().test(offer, given, pooled)
-        size = self.common.get(offer.cause)
-        if size is None or offer.since != "always":
+        size = self.common.get(offer.cause, 0.0) if offer.since == "always" else 0.0
+        factor = self.dispersed.get(offer.cause, 1.0)
+        if size == 0.0 and factor == 1.0:
             return test
-        covariance = test.covariance + size**2 * np.eye(len(test.value))
+        covariance = factor * test.covariance + size**2 * np.eye(len(test.value))
         wald = float(test.value @ np.linalg.solve(covariance, test.value))
         p = float(f_distribution.sf(wald / len(test.value), len(test.value), self.freedom))
         return test._replace(covariance=covariance, wald=wald, p=max(p, test.p))

@@ -95,7 +95,7 @@ def lean(specific: np.ndarray, rate: float) -> np.ndarray:
 
 
 def noise_free(
-    values: np.ndarray, other: np.ndarray, more: Sequence[np.ndarray], good: np.ndarray, lag: int
+    values: np.ndarray, shifted: Sequence[np.ndarray], more: Sequence[np.ndarray], good: np.ndarray, lag: int
 ) -> np.ndarray:
     """What instruments predict of a measured vector (n, 3): a column whose noise the residual does not hold.
 
@@ -115,9 +115,8 @@ def noise_free(
     if np.count_nonzero(usable) < FEWEST_KEPT:
         return values
     before, after = np.maximum(rows - lag, 0), np.minimum(rows + lag, len(rows) - 1)
-    instruments = np.column_stack(
-        [np.ones(len(rows)), values[before], values[after], other[before], other[after], *more]
-    )
+    around = [signal[place] for signal in shifted for place in (before, after)]
+    instruments = np.column_stack([np.ones(len(rows)), *around, *more])
     instruments /= np.maximum(np.sqrt(np.mean(instruments[usable] ** 2, axis=0)), 1e-12)
     used, target = instruments * usable[:, None], values * usable[:, None]
     predicted = instruments @ np.linalg.lstsq(instruments[usable], values[usable], rcond=1e-9)[0]
@@ -274,7 +273,7 @@ def weak_form(flown: Flown) -> Weak:
     rates, growth = _average(sensed, window), _average(sensed, slope)
     lag, thrusts = round(WINDOW_LAG / dt), _thrusts(frame, window)
     captured = np.einsum("nji,nj->ni", turn, _average(x - x.mean(0), bend) - down)
-    f_free = noise_free(_average(f, window), captured, thrusts, good, lag)
+    f_free = noise_free(_average(f, window), [_average(f, window), captured], thrusts, good, lag)
     rates_free = least_noise(w, rates, _average(seen, window), good, 1.0 / dt)
     add("residual", _average(sensed - seen, window), _average(force, window) + down - _average(x - x.mean(0), bend))
     axes = _average(turn, window)
@@ -286,8 +285,8 @@ def weak_form(flown: Flown) -> Weak:
     fine[:far] = fine[-far:] = False
     slopes = _average(force + down, slope), np.gradient(_average(x - x.mean(0), bend), dt, axis=0)
     felt_slope, seen_slope = (np.einsum("nji,nj->ni", turn, of) for of in slopes)
-    known_slopes = [*np.cross(rates, f_free).T, *_thrusts(frame, slope)]
-    slope_free = noise_free(felt_slope, seen_slope, known_slopes, good, lag)
+    known_slopes = [*np.cross(_average(seen, window), f_free).T, *_thrusts(frame, slope)]
+    slope_free = noise_free(felt_slope, [seen_slope], known_slopes, good, lag)
     jerk = earth(calibrated(felt_slope, slope_free, seen_slope, fine)) - coriolis
     for i, axis in enumerate(XYZ):
         add(f"gyro_bias.{axis}", unit[i], nothing)

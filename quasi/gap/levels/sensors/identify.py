@@ -18,7 +18,7 @@ from quasi.gap.flights.level import PRIOR_FREEDOM, Flown, Level, SensorMixedMode
 from quasi.gap.levels.selected import report_selection
 from quasi.gap.levels.sensors.columns import Weak, corrected_already, straightened, weak_form
 from quasi.gap.levels.sensors.findings import shaken, torn
-from quasi.gap.levels.sensors.products import added, alone, blocks_of, spread_of_slopes, whitener_of
+from quasi.gap.levels.sensors.products import added, alone, blocks_of, dispersion, spread_of_slopes, whitener_of
 from quasi.gap.levels.sensors.tables import tables
 from quasi.gap.profile import Profile
 from quasi.gap.selection import Rules, Selection, select_causes
@@ -148,9 +148,11 @@ def _search(
     profiles = {n: _profile(SENSOR_CAUSES[n]) for n in asked}
 
     def build(
-        grams: list[np.ndarray], slopes: Mapping[str, float], lever: float = NORMAL_SPREAD["imu_lever_arm"]
-    ) -> SensorMixedModel:
-        return _mixed(grams, compared, names, asked, {**usual, **slopes, "imu_lever_arm": lever}, turning, sessions)
+        grams: list[np.ndarray], slopes: Mapping[str, float], dispersed: Mapping[str, float],
+        lever: float = NORMAL_SPREAD["imu_lever_arm"],
+    ) -> SensorMixedModel:  # fmt: skip
+        spreads = {**usual, **slopes, "imu_lever_arm": lever}
+        return _mixed(grams, compared, names, asked, spreads, turning, sessions, dispersed)
 
     applied = [np.zeros(len(names)) for _ in used]
     offsets = [0.0 for _ in used]
@@ -161,8 +163,9 @@ def _search(
         blocks = [added(blocks_of(w, by), values) for w, by, values in zip(weak, whiteners, known)]
         grams = [b.sum(axis=0) for b in blocks]
         slopes = spread_of_slopes(grams, names, compared, alarm) if turning and weak[0].feeling else {}
-        mixed = build(grams, slopes)
-        rules = Rules(0.0, WITNESS, build(grams, slopes, MARKERS_KNOWN * np.sqrt(len(blocks))))
+        dispersed = dispersion(blocks, names)
+        mixed = build(grams, slopes, dispersed)
+        rules = Rules(0.0, WITNESS, build(grams, slopes, dispersed, MARKERS_KNOWN * np.sqrt(len(blocks))))
         selection = select_causes(mixed, profiles, alarm, rules)
         wanted = [_nonlinear_values(mixed, selection, names, flag) for flag in compared]
         if not turning or look == LINEARISED - 1 or max(_apart(a, b, names) for a, b in zip(wanted, applied)) < 1.0:
@@ -175,7 +178,9 @@ def _search(
         weak = [weak_form(straightened(f, _set_right(values, names), offset))
                 for f, values, offset in zip(used, applied, offsets)]  # fmt: skip
         weak = [w._replace(columns=w.columns[:, :, [w.names.index(n) for n in names]], names=names) for w in weak]
-    return Search(list(weak), whiteners, blocks, known, mixed, selection, partial(build, slopes=slopes))
+    return Search(
+        list(weak), whiteners, blocks, known, mixed, selection, partial(build, slopes=slopes, dispersed=dispersed)
+    )
 
 
 def _profile(effect: Effect) -> Profile:
@@ -246,6 +251,7 @@ def _mixed(
     usual: Mapping[str, float],
     turning: bool,
     sessions: Sequence[str],
+    dispersed: Mapping[str, float],
 ) -> SensorMixedModel:
     """Tests on the cross-products: nuisances in every flight, and causes."""
     causes, nuisance, spread = layout(names, asked, usual, turning)
@@ -256,7 +262,9 @@ def _mixed(
     columns = columns._replace(alike={n: len(place) + k for k, n in enumerate(alike)})
     turn = np.column_stack([turn, *(turn[:, causes[n]].sum(axis=1) for n in alike)])
     used = [turn.T @ g[np.ix_(place, place)] @ turn for g in grams]
-    return SensorMixedModel(used, compared, columns, PRIOR_FREEDOM, common=COMMON, sessions=sessions)
+    return SensorMixedModel(
+        used, compared, columns, PRIOR_FREEDOM, common=COMMON, sessions=sessions, dispersed=dispersed
+    )
 
 
 def layout(

@@ -54,6 +54,32 @@ def alone(gram: np.ndarray, names: Sequence[str]) -> tuple[np.ndarray, np.ndarra
     return values, std
 
 
+def dispersion(blocks: Sequence[np.ndarray], names: Sequence[str]) -> dict[str, float]:
+    """{cause: how many times its variance exceeds that of white noise}, by what each block adds to it; at least 1.
+
+    blocks  (B, P, P) per flight. Vibration that a slow log folds into the motion is a line whose frequency follows the
+    rotors: no autoregression makes it white, and a line remembers for as long as the rotors keep their speed.
+    Source: White, A heteroskedasticity-consistent covariance matrix estimator, Econometrica 48, 1980; Liang & Zeger,
+    Longitudinal data analysis using generalized linear models, Biometrika 73, 1986 (sums over blocks).
+    """
+    ratios: dict[str, list[float]] = {}
+    for own in blocks:
+        if len(own) < 2:
+            continue
+        whole = own.sum(axis=0)
+        values, std = alone(whole, names)
+        at = np.flatnonzero((std > 0.0) & (np.diag(whole) > 0.0))
+        gram = whole[np.ix_(at, at)]
+        scale = np.sqrt(np.diag(gram))
+        inverse = np.linalg.inv(gram / np.outer(scale, scale) + RIDGE * np.eye(len(at))) / np.outer(scale, scale)
+        scores = own[:, at, 0] - own[:, at][:, :, at] @ values[at]
+        variance = ((scores @ inverse) ** 2).sum(axis=0) * len(own) / (len(own) - 1)
+        for k, column in enumerate(at):
+            ratios.setdefault(names[column].split(".")[0], []).append(float(variance[k] / std[column] ** 2))
+    found = {cause: max(float(np.mean(of)), 1.0) for cause, of in ratios.items()}
+    return found | {"imu_misalignment": found["mocap_misalignment"]} if "mocap_misalignment" in found else found
+
+
 def spread_of_slopes(
     grams: Sequence[np.ndarray], names: Sequence[str], compared: np.ndarray, rate: float
 ) -> dict[str, float]:
