@@ -163,7 +163,7 @@ def _search(
         blocks = [added(blocks_of(w, by), values) for w, by, values in zip(weak, whiteners, known)]
         grams = [b.sum(axis=0) for b in blocks]
         slopes = spread_of_slopes(grams, names, compared, alarm) if turning and weak[0].feeling else {}
-        dispersed = dispersion(blocks, names)
+        dispersed = dispersion(blocks, names, alarm)
         mixed = build(grams, slopes, dispersed)
         rules = Rules(0.0, WITNESS, build(grams, slopes, dispersed, MARKERS_KNOWN * np.sqrt(len(blocks))))
         selection = select_causes(mixed, profiles, alarm, rules)

@@ -54,15 +54,17 @@ def alone(gram: np.ndarray, names: Sequence[str]) -> tuple[np.ndarray, np.ndarra
     return values, std
 
 
-def dispersion(blocks: Sequence[np.ndarray], names: Sequence[str]) -> dict[str, float]:
-    """{cause: how many times its variance exceeds that of white noise}, by what each block adds to it; at least 1.
+def dispersion(blocks: Sequence[np.ndarray], names: Sequence[str], rate: float) -> dict[str, float]:
+    """{cause: how many times its variance exceeds that of white noise}, by what each block adds to it, where that is
+    too much for chance.
 
-    blocks  (B, P, P) per flight. Vibration that a slow log folds into the motion is a line whose frequency follows the
-    rotors: no autoregression makes it white, and a line remembers for as long as the rotors keep their speed.
+    blocks  (B, P, P) per flight; rate  of chance. Vibration that a slow log folds into the motion is a line whose
+    frequency follows the rotors: no autoregression makes it white, and it remembers as long as they keep their speed.
     Source: White, A heteroskedasticity-consistent covariance matrix estimator, Econometrica 48, 1980; Liang & Zeger,
     Longitudinal data analysis using generalized linear models, Biometrika 73, 1986 (sums over blocks).
     """
     ratios: dict[str, list[float]] = {}
+    freedom = sum(len(own) - 1 for own in blocks)
     for own in blocks:
         if len(own) < 2:
             continue
@@ -76,7 +78,8 @@ def dispersion(blocks: Sequence[np.ndarray], names: Sequence[str]) -> dict[str, 
         variance = ((scores @ inverse) ** 2).sum(axis=0) * len(own) / (len(own) - 1)
         for k, column in enumerate(at):
             ratios.setdefault(names[column].split(".")[0], []).append(float(variance[k] / std[column] ** 2))
-    found = {cause: max(float(np.mean(of)), 1.0) for cause, of in ratios.items()}
+    found = {cause: float(np.mean(of)) for cause, of in ratios.items()}
+    found = {cause: ratio for cause, ratio in found.items() if chi2.sf(ratio * freedom, freedom) < rate}
     return found | {"imu_misalignment": found["mocap_misalignment"]} if "mocap_misalignment" in found else found
 
 
