@@ -5,6 +5,7 @@ import logging
 import re
 import shlex
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, TextIO
 
@@ -140,8 +141,11 @@ class Terminal(logging.Filter):
         return "\n".join(lines)
 
     def _write(self, text: str) -> None:
-        self.stream.write(text + "\n")
-        self.stream.flush()
+        # Where nobody reads any more (a closed window, `| head`), the run goes on. The exception would end in a callback
+        # of Snakemake, which would then wait forever for the job that it was called for.
+        with suppress(OSError, ValueError):
+            self.stream.write(text + "\n")
+            self.stream.flush()
 
 
 class FaultFilter(logging.Filter):

@@ -32,6 +32,20 @@ def begin(say, number, flight, rule="importing"):
     return log
 
 
+@pytest.mark.parametrize("error", [BrokenPipeError(), OSError(5, "Input/output error"), ValueError("closed file")])
+def test_a_run_goes_on_where_nobody_reads_what_it_prints(run, monkeypatch, error):
+    terminal, stream, say = run
+
+    def write(text):
+        raise error
+
+    monkeypatch.setattr(stream, "write", write)
+    assert not say("run_info", stats={"importing": 1, "total": 1})
+    begin(say, 1, "a")
+    assert not say("job_finished", job_id=1)
+    assert terminal.done == 1
+
+
 def test_a_job_is_a_line_and_a_note_that_flights_have_alike_is_told_once(run):
     terminal, stream, say = run
     assert not say("run_info", "Job stats: ...", stats={"importing": 2, "total": 2})
