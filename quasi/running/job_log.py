@@ -112,12 +112,13 @@ def _write_outcome(about: dict[str, Any]) -> None:
 
 
 def read_outcome(folder: str | Path, log: str = "") -> dict[str, Any] | None:
-    """Read the outcome of the job with this log file; None where it was killed or has not ended.
+    """Read the outcome of the job with this log file; None where it was killed, on a full disk, or has not ended.
 
     Keys: "name", "log", "page", "seconds", "verdict", "notes", and "failed", its sentence or None.
     """
-    place = _outcome_file(folder, log)
-    return json.loads(place.read_text(encoding="utf-8")) if place.is_file() else None
+    with suppress(OSError, ValueError):
+        return json.loads(_outcome_file(folder, log).read_text(encoding="utf-8"))
+    return None
 
 
 def hand_over(files: Iterable[str], folder: str | Path, rename: Callable[[Path], str] = lambda path: path.name) -> Path:

@@ -151,6 +151,16 @@ def test_a_job_that_was_killed_keeps_snakemakes_whole_account(run):
     assert "SIGKILL" in stream.getvalue()
 
 
+def test_an_outcome_that_a_full_disk_cut_off_is_none(run, tmp_path):
+    terminal, stream, say = run
+    with job(begin(say, 1, "a"), "import of a"):
+        pass
+    (outcome,) = (tmp_path / "run/outcomes").glob("*.json")
+    outcome.write_text(outcome.read_text()[:20])
+    assert not say("job_finished", job_id=1)
+    assert stream.getvalue() == "[1/?] importing Q, a\n"
+
+
 def test_a_job_that_left_nothing_is_still_told(run):
     _, stream, say = run
     begin(say, 1, "a")
