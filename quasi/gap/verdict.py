@@ -26,7 +26,7 @@ from quasi.gap.levels.rollouts import split_flights
 from quasi.gap.levels.rollouts.confirmation import CONFIRMED, REFUTED, Settled, settle
 from quasi.gap.levels.rollouts.open_loop import HORIZON, MOVED_BY, WITHOUT_TRIM
 from quasi.gap.levels.sensors_and_drive import SEARCHES
-from quasi.gap.levels.trim_evidence import OF_TOTAL_THRUST, rejected_by_trim, why_rotor_is_enough
+from quasi.gap.levels.trim_evidence import OF_TOTAL_THRUST, named_rotor, rejected_by_trim, why_rotor_is_enough
 from quasi.gap.losses import (
     FORCES_LINE,
     OWN_LOSS,
@@ -109,6 +109,7 @@ def judge_causes(case: Case, found: Found) -> tuple[Settled, unexplained.Left]:
     unsure = {(c.effect.id, c.since) for c in rare}
     found.ties = [(since, t) for since, t in found.ties if (t.tests[0].offer.cause, since) not in unsure]
     _drop_needless_ties(case, found)
+    sure = _significant_next_to_rotor(case, found, sure)
     settled = settle(found, sure, case.model, case.compared, case.effects, case.vehicle, case.held, case.tables)
 
     def made(causes: Sequence[Cause], anew: bool) -> Model:
@@ -207,6 +208,41 @@ def _drop_needless_ties(case: Case, found: Found) -> None:
         else:
             kept.append((since, tie))
     found.ties = kept
+
+
+def _significant_next_to_rotor(case: Case, found: Found, causes: Sequence[Cause]) -> list[Cause]:
+    """The causes that are significant with the rotor given that the trim names, where forces and moments do not name
+    it; ties that are not are taken from `found`. What the rotor changes beyond the trim would look like another cause.
+    """
+    name = named_rotor(case.trim)
+    named = any((c.effect.id, c.since) == ("rotor_effectiveness", "changed") for c in causes)
+    if not name or named or "rotor_effectiveness" not in found.study.columns.causes:
+        return list(causes)
+    (rotor,) = case.trim.document["parameters"][name]
+    given = Candidate("rotor_effectiveness", "changed", (case.effects["rotor_effectiveness"].fitted.index(rotor),))
+    mixed = found.study.witnessed(range(len(case.learning)), case.compared)
+    offers = [*(c.test.offer for c in causes), *(tie.tests[0].offer for _, tie in found.ties)]
+
+    def why(offer: Candidate) -> str:
+        if offer.since != "changed" or offer.cause == given.cause:
+            return ""
+        p = mixed.test(offer, [given, *(o for o in offers if o != offer)], mixed.pooled("changed")).p
+        return f"p = {p:.2g} with {name} given, which the trim shows" if p >= found.level["changed"] else ""
+
+    kept, ties = [], []
+    for cause in causes:
+        if reason := why(cause.test.offer):
+            found.contradicted[cause.effect.id] = cause.test, reason
+        else:
+            kept.append(cause)
+    for since, tie in found.ties:
+        if reason := why(tie.tests[0].offer):
+            found.contradicted |= {t.offer.cause: (t, reason) for t in tie.tests}
+            found.stand_ins = [c for c in found.stand_ins if c.test.offer != tie.tests[0].offer]
+        else:
+            ties.append((since, tie))
+    found.ties = ties
+    return kept
 
 
 def _harmless(case: Case, settled: Settled, made: Callable[[Sequence[Cause], bool], Model]) -> Settled:

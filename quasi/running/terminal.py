@@ -141,8 +141,8 @@ class Terminal(logging.Filter):
         return "\n".join(lines)
 
     def _write(self, text: str) -> None:
-        # Where nobody reads any more (a closed window, `| head`), the run goes on. The exception would end in a callback
-        # of Snakemake, which would then wait forever for the job that it was called for.
+        # Where nobody reads any more (a closed window, `| head`), the run goes on. The exception would end in a
+        # callback of Snakemake, which would then wait forever for the job that it was called for.
         with suppress(OSError, ValueError):
             self.stream.write(text + "\n")
             self.stream.flush()

@@ -23,7 +23,7 @@ from quasi.gap.report.page import page
 from quasi.gap.report.wording import summary
 from quasi.gap.selection import Tie
 from quasi.gap.statistics import mixed
-from quasi.gap.verdict import _drop_needless_ties
+from quasi.gap.verdict import _drop_needless_ties, _significant_next_to_rotor
 
 ARM = 0.0325
 HUBS = np.array([[ARM, ARM, 0.0], [-ARM, ARM, 0.0], [-ARM, -ARM, 0.0], [ARM, -ARM, 0.0]])
@@ -177,6 +177,35 @@ def test_a_tie_with_a_cause_of_the_total_thrust_gives_way_to_the_rotor_of_the_tr
     healthy = tied(*causes)
     _drop_needless_ties(SimpleNamespace(trim=commanded([1.0] * 4)), healthy)
     assert healthy.ties and healthy.stand_ins
+
+
+@pytest.mark.parametrize(("p_with_rotor", "stays"), [(0.01, False), (1e-6, True)])
+def test_what_is_significant_without_the_rotor_of_the_trim_alone_is_none(p_with_rotor, stays):
+    rotor = mixed.Candidate("rotor_effectiveness", "changed", (2,))
+    asked = []
+
+    def test(offer, given, pooled):
+        asked.append((offer.cause, rotor in given))
+        return SimpleNamespace(p=p_with_rotor if rotor in given else 1e-9)
+
+    model = SimpleNamespace(test=test, pooled=lambda since: [])
+    found = tied("rotor_interference", "blade_flapping")
+    found.level = {"changed": 1e-4}
+    columns = SimpleNamespace(causes={"rotor_effectiveness": [1, 2, 3, 4]})
+    found.study = SimpleNamespace(columns=columns, witnessed=lambda use, compared: model)
+    wind = mixed.Test(mixed.Candidate("wind", "changed", (0, 1)), *[None] * 5)
+    cause = SimpleNamespace(effect=SimpleNamespace(id="wind"), since="changed", test=wind)
+    effects = {"rotor_effectiveness": SimpleNamespace(fitted=[f"rotor{i}" for i in (1, 2, 3, 4)])}
+    case = SimpleNamespace(
+        trim=commanded([1.0, 1.0, 1.0 / 0.7, 1.0]), effects=effects, learning=[1, 2], compared=[1, 1]
+    )
+    kept = _significant_next_to_rotor(case, found, [cause])
+    assert bool(kept) is bool(found.ties) is bool(found.stand_ins) is stays
+    assert asked == [("wind", True), ("rotor_interference", True)]
+    assert ("rotor 3 given" in str(found.contradicted.get("wind"))) is not stays
+    asked.clear()
+    other = SimpleNamespace(**vars(case) | {"trim": commanded([1.0] * 4)})
+    assert _significant_next_to_rotor(other, found, [cause]) == [cause] and not asked
 
 
 def test_the_trim_rejects_causes_that_it_contradicts_and_keeps_the_true_one():

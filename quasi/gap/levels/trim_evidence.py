@@ -148,6 +148,15 @@ def expected_change(cause: str, deviations: Mapping[str, float], evidence: TrimE
     return change
 
 
+def named_rotor(evidence: TrimEvidence | None) -> str:
+    """Name of the one rotor that the trim names of flights with commands in place of measured speeds; "" without."""
+    if evidence is None or evidence.document.get("source") != "commands" or evidence.document["word"] != "named":
+        return ""
+    (name,) = evidence.document["names"]
+    known = {h.name: h for h in hypotheses(evidence.geometry)}
+    return name if known[name].ids == ("rotor_effectiveness",) else ""
+
+
 def why_rotor_is_enough(evidence: TrimEvidence | None, other: str = "mass") -> str:
     """Why the trim needs no other cause next to the one rotor that it names; "" where it does, or names none.
 
@@ -157,12 +166,10 @@ def why_rotor_is_enough(evidence: TrimEvidence | None, other: str = "mass") -> s
     hold no more: a rotor that is weaker by a fifth takes a twentieth of the vertical force, and a constant moment is
     the trim of a flight.
     """
-    if evidence is None or evidence.document.get("source") != "commands" or evidence.document["word"] != "named":
+    name = named_rotor(evidence)
+    if not name:
         return ""
-    (name,), found = evidence.document["names"], evidence.comparison
-    known = {h.name: h for h in hypotheses(evidence.geometry)}
-    if known[name].ids != ("rotor_effectiveness",):
-        return ""
+    known, found = {h.name: h for h in hypotheses(evidence.geometry)}, evidence.comparison
 
     def spread(hypothesis: Hypothesis) -> np.ndarray:
         own = hypothesis.directions * np.array(hypothesis.std)
