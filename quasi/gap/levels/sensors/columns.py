@@ -99,10 +99,11 @@ def noise_free(
 ) -> np.ndarray:
     """What instruments predict of a measured vector (n, 3): a column whose noise the residual does not hold.
 
-    values  windowed averages of one sensor; other  the same quantity by the other source; both hold noise that the
-            residual holds too, and a column made of them would be estimated too large by noise over signal power
-    more    further columns (n,) with noise of their own (rotor speeds); good (n,) rows that may be used; lag  samples
-    Instruments are both signals `lag` samples before and after, where the noise is another, and `more`.
+    values   windowed averages of one sensor; they hold noise that the residual holds too, and a column made of them
+             would be estimated too large by noise over signal power
+    shifted  signals (n, 3) that are instruments `lag` samples before and after, where the noise is another: the values,
+             the same quantity by the other source
+    more     instruments (n,) with noise of their own (rotor speeds); good (n,) rows that may be used; lag  samples
     What they predict of a stretch of `lag` is learnt without it and its neighbours, whose noise it shares: twenty
     weights of two hundred independent averages hold a tenth of the noise, which is a large part of a small signal.
     Sources: Wooldridge, Econometric Analysis of Cross Section and Panel Data, 2nd ed., 2010, chapter 5 (two-stage least

@@ -44,14 +44,19 @@ def alone(gram: np.ndarray, names: Sequence[str]) -> tuple[np.ndarray, np.ndarra
 
     A turned IMU and turned markers look alike in one flight; they are stated as the markers' turn.
     """
+    single, found, covariance = _solved(gram, names)
+    values, std = np.zeros(len(names)), np.zeros(len(names))
+    values[single], std[single] = found, np.sqrt(np.diag(covariance))
+    return values, std
+
+
+def _solved(gram: np.ndarray, names: Sequence[str]) -> tuple[list[int], np.ndarray, np.ndarray]:
+    """Columns that one flight tells apart, their values and the covariance of these."""
     gone = ("imu_misalignment", "drawn", *(f"{SLOPE_OF}{a}" for a in XYZ))
     single = [i for i, n in enumerate(names) if i > 0 and n.split(".")[0] not in gone]
-    scale = np.sqrt(np.maximum(np.diag(gram), 1e-300))[single]
+    scale = np.sqrt(np.maximum(np.diag(gram), 1e-280))[single]  # squares of an empty column must not overflow
     inverse = np.linalg.inv(gram[np.ix_(single, single)] / np.outer(scale, scale) + RIDGE * np.eye(len(single)))
-    values, std = np.zeros(len(names)), np.zeros(len(names))
-    values[single] = inverse @ (gram[single, 0] / scale) / scale
-    std[single] = np.sqrt(np.diag(inverse)) / scale
-    return values, std
+    return single, inverse @ (gram[single, 0] / scale) / scale, inverse / np.outer(scale, scale)
 
 
 def dispersion(blocks: Sequence[np.ndarray], names: Sequence[str], rate: float) -> dict[str, float]:
@@ -69,15 +74,12 @@ def dispersion(blocks: Sequence[np.ndarray], names: Sequence[str], rate: float) 
         if len(own) < 2:
             continue
         whole = own.sum(axis=0)
-        values, std = alone(whole, names)
-        at = np.flatnonzero((std > 0.0) & (np.diag(whole) > 0.0))
-        gram = whole[np.ix_(at, at)]
-        scale = np.sqrt(np.diag(gram))
-        inverse = np.linalg.inv(gram / np.outer(scale, scale) + RIDGE * np.eye(len(at))) / np.outer(scale, scale)
-        scores = own[:, at, 0] - own[:, at][:, :, at] @ values[at]
-        variance = ((scores @ inverse) ** 2).sum(axis=0) * len(own) / (len(own) - 1)
-        for k, column in enumerate(at):
-            ratios.setdefault(names[column].split(".")[0], []).append(float(variance[k] / std[column] ** 2))
+        single, values, covariance = _solved(whole, names)
+        scores = own[:, single, 0] - own[:, single][:, :, single] @ values
+        variance = ((scores @ covariance) ** 2).sum(axis=0) * len(own) / (len(own) - 1)
+        for k, column in enumerate(single):
+            if whole[column, column] > 0.0:
+                ratios.setdefault(names[column].split(".")[0], []).append(float(variance[k] / covariance[k, k]))
     found = {cause: float(np.mean(of)) for cause, of in ratios.items()}
     found = {cause: ratio for cause, ratio in found.items() if chi2.sf(ratio * freedom, freedom) < rate}
     return found | {"imu_misalignment": found["mocap_misalignment"]} if "mocap_misalignment" in found else found
