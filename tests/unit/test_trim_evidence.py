@@ -8,6 +8,7 @@ import pytest
 from gap_documents import KNOWN, document
 
 from quasi.attitude import GRAVITY
+from quasi.gap import verdict
 from quasi.gap.diagnosis import verdict_of
 from quasi.gap.effect import Vehicle
 from quasi.gap.levels.trim_evidence import (
@@ -206,6 +207,19 @@ def test_what_is_significant_without_the_rotor_of_the_trim_alone_is_none(p_with_
     asked.clear()
     other = SimpleNamespace(**vars(case) | {"trim": commanded([1.0] * 4)})
     assert _significant_next_to_rotor(other, found, [cause]) == [cause] and not asked
+
+
+def test_causes_that_are_sure_are_asked_next_to_the_rotor_of_the_trim(monkeypatch):
+    def stop(case, found, causes):
+        raise InterruptedError([c.effect.id for c in causes])
+
+    sure, faint = (SimpleNamespace(effect=SimpleNamespace(id=n), since="changed", probability=p)
+                   for n, p in (("wind", 1.0), ("tether", 0.0)))  # fmt: skip
+    monkeypatch.setattr(verdict, "_significant_next_to_rotor", stop)
+    monkeypatch.setattr(verdict, "needed", lambda cause, found: 0.5)
+    found = SimpleNamespace(causes=[sure, faint], stand_ins=[], ties=[])
+    with pytest.raises(InterruptedError, match=r"\['wind'\]"):
+        verdict.judge_causes(SimpleNamespace(trim=None), found)
 
 
 def test_the_trim_rejects_causes_that_it_contradicts_and_keeps_the_true_one():

@@ -2,6 +2,7 @@
 
 import dataclasses
 import functools
+from types import SimpleNamespace
 
 import numpy as np
 import pandas as pd
@@ -17,6 +18,7 @@ from quasi.gap.flights.evidence import Evidence
 from quasi.gap.levels.forces import reproducibility as recurring
 from quasi.gap.levels.forces import unexplained
 from quasi.gap.levels.forces.error_reduction import wrench_score
+from quasi.gap.levels.forces.joint_fit import _less
 from quasi.gap.levels.forces.polynomial_baseline import polynomial
 from quasi.gap.levels.forces.unexplained import outdone, search
 from quasi.gap.statistics.candidates import Candidate
@@ -364,3 +366,18 @@ def test_what_lives_in_a_hundredth_of_the_time_is_told_along_its_rate(ground):
     said = search(flights, [s >= 4 for s in range(8)], [jerky(ground, 90, brake)], [], lambda f: f.residual,
                   np.full(6, np.inf), vehicle_of(ground[1]), 0.01, 0.05)[0]  # fmt: skip
     assert [(u["channel"], u["where"], u["since"]) for u in said] == [("My", "pitch rate", "changed")]
+
+
+def test_products_without_functions_are_those_of_the_columns_without_them():
+    rng = np.random.default_rng(3)
+    columns, basis = rng.standard_normal((200, 6, 5)), rng.standard_normal((200, 3))
+    functions = [
+        (SimpleNamespace(channel=2, choice=SimpleNamespace(which=(0, 2))), np.array([0.5, -1.0])),
+        (SimpleNamespace(channel=2, choice=SimpleNamespace(which=(1,))), np.array([2.0])),
+        (SimpleNamespace(channel=4, choice=SimpleNamespace(which=(1,))), np.array([-0.7])),
+    ]
+    left = columns.copy()
+    left[:, 2, 0] -= basis @ np.array([0.5, 2.0, -1.0])
+    left[:, 4, 0] -= basis[:, 1] * -0.7
+    before, expected = (np.einsum("nki,nkj->kij", c, c) for c in (columns, left))
+    np.testing.assert_allclose(_less(before, columns, basis, functions), expected, atol=1e-10)
