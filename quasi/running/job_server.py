@@ -265,8 +265,8 @@ def _run(request: Mapping[str, Any]) -> None:
 def use_server(scripts: type, server: JobServer) -> None:
     """Let a class of Snakemake (`PythonScript`) run its scripts in the server.
 
-    A rule's benchmark file is written from what the kernel counted of the job. Snakemake itself looks at a job's memory
-    every half second, which takes 4 % of the processor time of many short jobs, and misses what they use at their end.
+    A rule's benchmark file is written from what the kernel counted of the job. Snakemake itself walks through a job's
+    memory every half second, and misses what the job uses after the last time.
     """
     original = scripts.execute_script  # type: ignore[attr-defined]
 

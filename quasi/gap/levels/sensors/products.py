@@ -51,7 +51,7 @@ def alone(gram: np.ndarray, names: Sequence[str]) -> tuple[np.ndarray, np.ndarra
 
 
 def _solved(gram: np.ndarray, names: Sequence[str]) -> tuple[list[int], np.ndarray, np.ndarray]:
-    """Columns that one flight tells apart, their values and the covariance of these."""
+    """Columns that one flight distinguishes, their values and the covariance of these."""
     gone = ("imu_misalignment", "drawn", *(f"{SLOPE_OF}{a}" for a in XYZ))
     single = [i for i, n in enumerate(names) if i > 0 and n.split(".")[0] not in gone]
     scale = np.sqrt(np.maximum(np.diag(gram), 1e-280))[single]  # squares of an empty column must not overflow
