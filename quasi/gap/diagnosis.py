@@ -133,8 +133,10 @@ def diagnose(
         lists["cannot_be_asked"] += [{"id": n, "why": unable} for n in asked]
     else:
         rate, unheard = (rate_of(settings["false alarm rate"], sum(compared), n) for n in (len(held), 0))
-        ident = settings["extended model ID"]
-        found = examine(learning, compared, held, model, asked_of, vehicle, rate, share, ident, f"gap {name}", unheard)
+        found = examine(
+            learning, compared, held, model, asked_of, vehicle, rate, share, settings["extended model ID"],
+            f"gap {name}", unheard, trim,
+        )  # fmt: skip
         if case.corrected and _refit_loses(case, found):
             case = case._replace(corrected=False)
             lists["notes"].append(

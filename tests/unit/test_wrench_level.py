@@ -442,3 +442,36 @@ def test_a_component_that_is_not_there_moves_a_wind_by_little():
     assert sought._moved(catalogue()["wind"], new, old) == pytest.approx(0.6 / np.sqrt(2.4**2 + 1.8**2 + 0.6**2))
     assert sought._moved(catalogue()["wind"], {}, old) == pytest.approx(1.0)
     assert sought._moved(catalogue()["rotor_speed_scale"], {"scale": 0.03}, {"scale": 0.02}) == pytest.approx(0.5)
+
+
+def test_a_cause_that_the_trim_contradicts_is_left_out_and_the_others_are_sought_without_it(ground, monkeypatch):  # noqa: F811
+    """Another mass that the rotors do not carry is none: what stands next to it is found as if it were not asked."""
+    model = Model(ground[1].document, "test")
+    vehicle = vehicle_of(model)
+
+    def made(k, has, size):
+        plain = flight(ground, k)
+        whole = whole_of(EFFECTS[has], plain, vehicle, size) if k >= 4 else 0.0
+        return dataclasses.replace(plain, measured=plain.measured + whole)
+
+    heavier = {"mass": 0.1 * vehicle.mass}
+    flights, compared = [made(k, "mass", heavier) for k in range(8)], np.arange(8) >= 4
+    within = {n: e.limits(vehicle) for n, e in EFFECTS.items()}
+    asked_of = []
+
+    def contradict(trim, causes, mass):
+        asked_of.append([cause for cause, _ in causes])
+        return {k: "the trim" for k, (cause, _) in enumerate(causes) if cause == trim and mass == vehicle.mass}
+
+    monkeypatch.setattr(sought, "contradicted_by_trim", contradict)
+    sides = [sought.seek(flights, EFFECTS, vehicle, compared, 0.01, within, trim) for trim in (None, "mass")]
+    names = [[n.test.offer.cause for n in side.named if n.test.offer.since == "changed"] for side in sides]
+    assert names[0] == ["mass"] and "mass" not in names[1]
+    assert sides[1].contradicted["mass"][1] == "the trim" and not sides[0].contradicted
+    assert asked_of[1] == ["mass"] and len(asked_of) > 2 and "mass" not in asked_of[2]
+    alike = {n: EFFECTS[n] for n in EFFECTS if n != "mass"}
+    without = sought.seek(flights, alike, vehicle, compared, 0.01, within)
+    assert [n.test.offer for n in sides[1].named] == [n.test.offer for n in without.named]
+    assert [[t.offer for t in tie.tests] for _, tie in sides[1].ties] == [
+        [t.offer for t in tie.tests] for _, tie in without.ties
+    ]

@@ -190,22 +190,32 @@ def _log_density(x: np.ndarray, covariance: np.ndarray) -> float:
 def rejected_by_trim(
     evidence: TrimEvidence | None, causes: Sequence[tuple[str, Mapping[str, float]]], mass: float
 ) -> dict[int, str]:
-    """Causes, by position, without which the trim is exp(REJECTED_LOG) more probable, and why; or those of the total
-    thrust that it does not need next to a rotor.
+    """Causes, by position, that the trim contradicts, and why; or those that it does not need next to a rotor.
 
     causes  [(id, deviations)] that compared flights have and reference flights lack, all together
     """
     if evidence is None or evidence.comparison is None or not causes:
         return {}
-    found, enough = evidence.comparison, why_rotor_is_enough(evidence)
     needless = {k: why for k, (cause, _) in enumerate(causes)
                 if cause in OF_MOMENTS and (why := why_rotor_is_enough(evidence, OF_MOMENTS[cause]))}  # fmt: skip
     if needless:
         return needless
+    enough = why_rotor_is_enough(evidence)
     if enough and not any(cause == "rotor_effectiveness" for cause, _ in causes):
         needless = {k: enough for k, (cause, _) in enumerate(causes) if cause in OF_TOTAL_THRUST}
-        if needless:
-            return needless
+    return needless or contradicted_by_trim(evidence, causes, mass)
+
+
+def contradicted_by_trim(
+    evidence: TrimEvidence | None, causes: Sequence[tuple[str, Mapping[str, float]]], mass: float
+) -> dict[int, str]:
+    """Causes, by position, without which the trim is exp(REJECTED_LOG) more probable, and why; the worst one first.
+
+    causes  as for `rejected_by_trim`
+    """
+    if evidence is None or evidence.comparison is None or not causes:
+        return {}
+    found = evidence.comparison
     precision = np.linalg.inv(found.covariance)
     effects = [expected_change(cause, deviations, evidence, mass) for cause, deviations in causes]
 
@@ -214,14 +224,15 @@ def rejected_by_trim(
         return float(-0.5 * away @ precision @ away)
 
     together = np.sum(effects, axis=0)
+    gains = [log_likelihood(together) - log_likelihood(together - effect) for effect in effects]
     result = {}
-    for k, effect in enumerate(effects):
-        gain = log_likelihood(together) - log_likelihood(together - effect)
-        if gain < REJECTED_LOG:
-            i = int(np.argmax(np.abs(effect)))
-            result[k] = (
-                f"with it rotor {i + 1} would be asked for {100 * np.expm1(effect[i]):+.0f} % more thrust in steady "
-                f"flight, where the flights show {100 * np.expm1(found.change[i]):+.0f} % (log likelihood {gain:.1f})"
+    for k in np.argsort(gains):
+        if gains[k] < REJECTED_LOG:
+            i = int(np.argmax(np.abs(effects[k])))
+            result[int(k)] = (
+                f"with it rotor {i + 1} would be asked for {100 * np.expm1(effects[k][i]):+.0f} % more thrust in "
+                f"steady flight, where the flights show {100 * np.expm1(found.change[i]):+.0f} % (log likelihood "
+                f"{gains[k]:.1f})"
             )
     return result
 

@@ -12,6 +12,7 @@ from quasi.gap.flights.evidence import Evidence
 from quasi.gap.levels.forces.axis_consistency import contradiction, voices
 from quasi.gap.levels.forces.design import Design, gather_design, moved
 from quasi.gap.levels.forces.nonlinear import chords, started
+from quasi.gap.levels.trim_evidence import TrimEvidence, contradicted_by_trim
 from quasi.gap.materiality import Cause, Deviations, seen_in
 from quasi.gap.profile import Profile
 from quasi.gap.selection import FORCES, Named, Rules, Tie, select_causes
@@ -49,12 +50,13 @@ class Sought(NamedTuple):
 
 def seek(
     flights: Sequence[Evidence], asked: Mapping[str, Effect], vehicle: Vehicle, compared: np.ndarray, rate: float,
-    within: Mapping[str, Limits],
+    within: Mapping[str, Limits], trim: TrimEvidence | None = None,
 ) -> Sought:  # fmt: skip
     """Search causes in flights.
 
     asked  the causes, by id; compared (F,) bool, False for reference flights; rate  family-wise false alarm rate
-    within {cause: what is physical of its parameters' deviations}
+    within {cause: what is physical of its parameters' deviations}; trim  what the trim in steady flight says
+    A cause that its axes or the trim contradict is left out, and the others are sought without it.
     """
     flown = as_flown(vehicle, [flight for flight, flag in zip(flights, compared) if flag])
     neutral: set[str] = set()  # curved causes whose slope where they were found does not show them any more
@@ -84,7 +86,7 @@ def seek(
         curved = chords(asked, {flag: _sizes(straight, flag) for flag in (True, False)}, values[True])
         elsewhere = any(_elsewhere(asked, curved[flag], values[flag]) for flag in (True, False))
         values = curved
-        torn = _contradicted(causes, ties, asked, mixed, study, compared)
+        torn = _contradicted(causes, ties, asked, mixed, study, compared) or _against_trim(causes, trim, vehicle.mass)
         contradicted |= torn
         if not elsewhere and not torn:
             break
@@ -188,6 +190,13 @@ def _contradicted(
             if why:
                 torn[test.offer.cause] = test, why
     return torn
+
+
+def _against_trim(causes: Sequence[Cause], trim: TrimEvidence | None, mass: float) -> dict[str, tuple[Test, str]]:
+    """The change that the trim contradicts most, if any."""
+    changed = [c for c in causes if c.since == "changed"]
+    against = contradicted_by_trim(trim, [(c.effect.id, c.value) for c in changed], mass)
+    return {changed[k].effect.id: (changed[k].test, why) for k, why in list(against.items())[:1]}
 
 
 def _with_twins(
