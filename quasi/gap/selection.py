@@ -307,10 +307,11 @@ class Search:
         def stays(a: Test, b: Test) -> bool:
             return kept[a.offer, b.offer]
 
-        def merit(a: Test) -> tuple[bool, int, float]:
-            """One that another explains away ranks below all that none does, however many it explains away itself."""
+        def merit(a: Test) -> tuple[bool, float, int]:
+            """One that another explains away ranks below all that none does, however many it explains away itself. Of
+            these the most significant is first: a faint rival that one explains away says nothing of the others."""
             balance = [stays(a, b) - stays(b, a) for b in tests if b is not a]
-            return min(balance, default=0) >= 0, sum(balance), -a.p
+            return min(balance, default=0) >= 0, -a.p, sum(balance)
 
         def explains_more(wide: Test, simple: Test) -> bool:
             """Whether a cause whose columns span those of a simpler one explains more."""

@@ -32,6 +32,7 @@ class Columns(NamedTuple):
     session   columns whose coefficients the flights of a session share, with session_spread their standard deviations
     alike     {cause: column} of a cause whose parameters may all be equal: the sum of its columns; its place in
               `Candidate.which` follows those of the parameters
+    barred    {cause: parameters of which no change is asked}
     """
 
     shared: list[int]
@@ -44,6 +45,7 @@ class Columns(NamedTuple):
     session: tuple[int, ...] = ()
     session_spread: tuple[float, ...] = ()
     alike: Mapping[str, int] = MappingProxyType({})
+    barred: Mapping[str, frozenset[int]] = MappingProxyType({})
 
     def of(self, offer: Candidate) -> list[int]:
         """Columns of a candidate."""

@@ -319,6 +319,7 @@ class MixedModel:
         """
         count = len(self.columns.causes[cause])
         taken = {k for o in given if o.cause == cause and o.since == since for k in o.which}
+        taken |= self.columns.barred.get(cause, frozenset()) if since == "changed" else frozenset()
         free = tuple(k for k in range(count) if k not in taken and count not in taken)
         partners: list[tuple[int, ...]] = []
         if parts == "paired":

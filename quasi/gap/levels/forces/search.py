@@ -61,11 +61,13 @@ def seek(
     flown = as_flown(vehicle, [flight for flight, flag in zip(flights, compared) if flag])
     neutral: set[str] = set()  # curved causes whose slope where they were found does not show them any more
     contradicted: dict[str, tuple[Test, str]] = {}
+    barred: dict[str, frozenset[int]] = {}
     study = started(gather_design(flights, asked, vehicle), asked, vehicle, compared)
     values = {flag: dict(study.values[0]) for flag in (True, False)}  # of compared flights and of reference flights
     for look in range(FORCE_ITERATIONS):
         study = moved(study, asked, vehicle, [values[bool(flag)] for flag in compared]) if look else study
         mixed = study.witnessed(range(len(flights)), compared)
+        mixed.columns = mixed.columns._replace(barred=barred)
         lacking = (*study.lacking, *contradicted)
         profiles = {n: Profile.of(e, within.get(n)) for n, e in asked.items()}
         rules = FORCES._replace(
@@ -86,12 +88,15 @@ def seek(
         curved = chords(asked, {flag: _sizes(straight, flag) for flag in (True, False)}, values[True])
         elsewhere = any(_elsewhere(asked, curved[flag], values[flag]) for flag in (True, False))
         values = curved
-        torn = _contradicted(causes, ties, asked, mixed, study, compared) or _against_trim(causes, trim, vehicle.mass)
-        contradicted |= torn
-        if not elsewhere and not torn:
+        torn = _contradicted(causes, ties, asked, mixed, study, compared)
+        single, against = ({}, {}) if torn else _against_trim(causes, trim, vehicle.mass)
+        contradicted |= torn | against
+        barred = {**barred, **{n: which | barred.get(n, frozenset()) for n, which in single.items()}}
+        if not (elsewhere or torn or single or against):
             break
     ties = [(s, tie) for s, tie in ties if not any(t.offer.cause in contradicted for t in tie.tests)]
     named = [n for n in named if n.test.offer.cause not in contradicted]
+    named = [n for n in named if not barred.get(n.test.offer.cause, frozenset()) & set(n.test.offer.which)]
     named, ties, twins = _with_twins(named, ties, contradicted, asked, mixed)
     contradicted = {name: why for name, why in contradicted.items() if name not in twins}
     named, ties = _with_weaker_rotors(named, ties, asked, mixed, flown)
@@ -192,11 +197,20 @@ def _contradicted(
     return torn
 
 
-def _against_trim(causes: Sequence[Cause], trim: TrimEvidence | None, mass: float) -> dict[str, tuple[Test, str]]:
-    """The change that the trim contradicts most, if any."""
+def _against_trim(
+    causes: Sequence[Cause], trim: TrimEvidence | None, mass: float
+) -> tuple[dict[str, frozenset[int]], dict[str, tuple[Test, str]]]:
+    """The change that the trim contradicts most: its one parameter, where another one of the cause may be meant, as
+    another rotor; or the cause with its test and why."""
     changed = [c for c in causes if c.since == "changed"]
-    against = contradicted_by_trim(trim, [(c.effect.id, c.value) for c in changed], mass)
-    return {changed[k].effect.id: (changed[k].test, why) for k, why in list(against.items())[:1]}
+    for k, why in contradicted_by_trim(trim, [(c.effect.id, c.value) for c in changed], mass).items():
+        effect, which = changed[k].effect, changed[k].test.offer.which
+        half = len(effect.fitted) // 2 if effect.parts == "paired" else len(effect.fitted)
+        leading = frozenset(n for n in which if n < half)
+        if effect.parts in ("any", "paired", "one") and len(leading) == 1 < half:
+            return {effect.id: leading}, {}
+        return {}, {effect.id: (changed[k].test, why)}
+    return {}, {}
 
 
 def _with_twins(
