@@ -309,9 +309,10 @@ class Search:
 
         def merit(a: Test) -> tuple[bool, float, int]:
             """One that another explains away ranks below all that none does, however many it explains away itself. Of
-            these the most significant is first: a faint rival that one explains away says nothing of the others."""
+            these the likeliest is first (Akaike, A new look at the statistical model identification, IEEE Trans.
+            Autom. Control 19, 1974): a faint rival that one explains away says nothing of the others."""
             balance = [stays(a, b) - stays(b, a) for b in tests if b is not a]
-            return min(balance, default=0) >= 0, -a.p, sum(balance)
+            return min(balance, default=0) >= 0, -(a.unlikely + 2.0 * len(a.offer.which)), sum(balance)
 
         def explains_more(wide: Test, simple: Test) -> bool:
             """Whether a cause whose columns span those of a simpler one explains more."""
