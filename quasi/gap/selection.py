@@ -26,6 +26,7 @@ FORM_ERROR = 0.05  # share of a cause's Wald statistic that the error of its for
 SUSPECT = 0.01  # p-value below which a declared rival has to be ruled out
 RESAMPLES = 40  # of the blocks of each flight
 UNPHYSICAL = "its size would be outside what is physical"
+TINY = 1e-300  # p-value below which none is distinguished
 EXCESSIVE = "it would make so much that the error of its form alone exceeds all that the model leaves of an axis"
 
 
@@ -307,12 +308,16 @@ class Search:
         def stays(a: Test, b: Test) -> bool:
             return kept[a.offer, b.offer]
 
-        def merit(a: Test) -> tuple[bool, float, int]:
+        balances = {a.offer: [stays(a, b) - stays(b, a) for b in tests if b is not a] for a in tests}
+        undisputed = {a.offer: -np.log(max(a.p, TINY)) for a in tests if min(balances[a.offer], default=0) >= 0}
+        clearest = (1.0 - FORM_ERROR) * max(undisputed.values(), default=0.0)
+
+        def merit(a: Test) -> tuple[bool, bool, int, float]:
             """One that another explains away ranks below all that none does, however many it explains away itself. Of
-            these the likeliest is first (Akaike, A new look at the statistical model identification, IEEE Trans.
-            Autom. Control 19, 1974): a faint rival that one explains away says nothing of the others."""
-            balance = [stays(a, b) - stays(b, a) for b in tests if b is not a]
-            return min(balance, default=0) >= 0, -(a.unlikely + 2.0 * len(a.offer.which)), sum(balance)
+            these, what is fainter by more than forms err ranks below: of a clear cause's form, a faint one may explain
+            more rivals away."""
+            clear = undisputed.get(a.offer, 0.0) >= clearest
+            return a.offer in undisputed, clear, sum(balances[a.offer]), -a.p
 
         def explains_more(wide: Test, simple: Test) -> bool:
             """Whether a cause whose columns span those of a simpler one explains more."""
