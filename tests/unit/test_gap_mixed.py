@@ -322,3 +322,15 @@ def test_parameters_that_may_be_equal_are_one_where_they_are_and_several_where_t
         mixed = MixedModel([summed.T @ g @ summed for g in grams], [True] * 6, layout)
         low += mixed.best("c", "always", parts="alike").p < 0.05
     assert low <= 18  # of 200 at 0.05: mean 10 at most, three standard deviations above
+
+
+def test_a_barred_parameter_is_offered_to_all_flights_but_not_to_the_compared_ones():
+    rng = np.random.default_rng(3)
+    compared = [False] * 4 + [True] * 4
+    grams, _ = flights(rng, 8, {5: 0.5}, compared)
+    alone, barred = (MixedModel(grams, compared, LAYOUT._replace(barred=bars)) for bars in ({}, {"c": frozenset({0})}))
+    assert alone.best("c", "changed").offer.which == (0,)
+    assert barred.best("c", "changed").offer.which == (1,)
+    assert barred.best("c", "always").offer == alone.best("c", "always").offer
+    everything = MixedModel(grams, compared, LAYOUT._replace(barred={"a": frozenset({0})}))
+    assert everything.best("a", "changed") is None

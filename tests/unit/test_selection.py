@@ -49,31 +49,44 @@ def test_the_planted_cause_is_named_and_its_lookalike_is_not(since):
     assert names.named[0].test.value[0] == pytest.approx(0.5, abs=3.0 * names.named[0].test.std[0])
 
 
+class Stated:
+    """Tests with p-values as stated, in place of flights: alone, and 0.1 where something given explains a cause away."""
+
+    def __init__(self, alone, gone):
+        self.alone, self.gone = alone, gone
+        self.columns = Columns([], [], np.zeros(0), {c: [1 + k] for k, c in enumerate(alone)})
+
+    def pooled(self, since):
+        return []
+
+    def test(self, offer, given=(), pooled=()):
+        p = 0.1 if any((offer.cause, g.cause) in self.gone for g in given) else self.alone[offer.cause]
+        return tests_on.Test(offer, np.ones(1), np.eye(1), 1.0, -np.log(p), p)
+
+    def spans(self, wide, narrow, given=()):
+        return False
+
+
+def dominant(alone, gone):
+    """The best of causes (name: p-value) and the rivals that it explains away. gone  (which, with what given)"""
+    stated = Stated(alone, gone)
+    tests = [stated.test(Candidate(c, "changed", (0,))) for c in alone]
+    catalogue = {c: Effect(c, "forces", "", "", "") for c in alone}
+    best, rivals, tie = searching(stated, catalogue, "changed", 5e-3)._dominant(tests)
+    assert tie is None
+    return best.offer.cause, [r.id for r in rivals]
+
+
 def test_a_cause_that_explains_many_away_gives_way_to_the_one_that_explains_it_away():
     """a explains b away and leaves c, d and e; b explains these three away and would be a tie with a."""
     alone = dict(zip("abcde", (1e-18, 1e-9, 1e-6, 1e-6, 1e-6)))
-    gone = {("b", "a"), *((k, "b") for k in "cde")}  # (which, beside what)
+    assert dominant(alone, {("b", "a"), *((k, "b") for k in "cde")}) == ("a", ["b"])
 
-    class Told:
-        columns = Columns([], [], np.zeros(0), {c: [1 + k] for k, c in enumerate("abcde")})
 
-        def pooled(self, since):
-            return []
-
-        def test(self, offer, given=(), pooled=()):
-            p = 0.1 if any((offer.cause, g.cause) in gone for g in given) else alone[offer.cause]
-            return tests_on.Test(offer, np.ones(1), np.eye(1), 1.0, -np.log(p), p)
-
-        def spans(self, wide, narrow, given=()):
-            return False
-
-    told = Told()
-    tests = [told.test(Candidate(c, "changed", (0,))) for c in alone]
-    catalogue = {c: Effect(c, "forces", "", "", "") for c in alone}
-    one = searching(told, catalogue, "changed", 5e-3)
-    best, rivals, tie = one._dominant(tests)
-    assert tie is None and best.offer.cause == "a"
-    assert [r.id for r in rivals] == ["b"]
+@pytest.mark.parametrize(("p", "first"), [(1e-25, "a"), (0.9e-31, "b")])
+def test_of_undisputed_causes_a_clearly_fainter_one_is_not_first_for_the_rivals_that_it_explains_away(p, first):
+    """b explains c away, which a leaves: that counts where b is as clear as a but for what forms err by."""
+    assert dominant({"a": 1e-32, "b": p, "c": 1e-9}, {("c", "b")}) == (first, ["c"] if first == "b" else [])
 
 
 def test_causes_that_the_data_cannot_split_are_a_tie():
