@@ -50,7 +50,7 @@ def test_the_planted_cause_is_named_and_its_lookalike_is_not(since):
 
 
 class Stated:
-    """Tests with p-values as stated, in place of flights: alone, and 0.1 where something given explains a cause away."""
+    """Tests with p-values as stated: of each cause alone, and 0.1 with something given that explains it away."""
 
     def __init__(self, alone, gone):
         self.alone, self.gone = alone, gone
