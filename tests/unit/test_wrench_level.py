@@ -15,6 +15,7 @@ from quasi.gap.flights.instruments import reread
 from quasi.gap.levels.forces import held_out
 from quasi.gap.levels.forces import identify as examination
 from quasi.gap.levels.forces import search as sought
+from quasi.gap.levels.forces.axis_consistency import Voice
 from quasi.gap.levels.forces.design import gather_design, refit
 from quasi.gap.levels.forces.error_reduction import after, wrench_score
 from quasi.gap.levels.forces.held_out import everything
@@ -475,3 +476,48 @@ def test_a_cause_that_the_trim_contradicts_is_left_out_and_the_others_are_sought
     assert [[t.offer for t in tie.tests] for _, tie in sides[1].ties] == [
         [t.offer for t in tie.tests] for _, tie in without.ties
     ]
+
+
+@pytest.mark.parametrize(
+    ("std", "rival_p", "first", "ties"),
+    [
+        (0.2, 1e-5, "mass", False), (0.8, 1e-5, "mass", True), (0.8, 0.1, "mass", False),
+        (0.2, 1e-5, "thrust_factor", False), (0.8, 1e-5, "thrust_factor", True),
+    ],
+)  # fmt: skip
+def test_mass_and_thrust_are_a_tie_where_no_other_axis_than_the_vertical_decides(
+    monkeypatch, std, rival_p, first, ties
+):
+    """std  of each axis on which one of them acts alone: two of force, two of moment"""
+    asked_axes = []
+
+    def heard(study, compared, test, pooled, given, channels):
+        asked_axes.append(set(channels))
+        return [Voice(axis, 1.0, std) for axis in channels]
+
+    monkeypatch.setattr(sought, "voices", heard)
+
+    class Stated:
+        columns = SimpleNamespace(causes={"mass": [1], "thrust_factor": [2], "wind": [3]})
+
+        def pooled(self, since):
+            return []
+
+        def test(self, offer, given=(), pooled=()):
+            return tests_on.Test(offer, np.ones(1), np.eye(1), 1.0, 30.0, 1e-9 if offer.cause == first else rival_p)
+
+    mixed, other = Stated(), "thrust_factor" if first == "mass" else "mass"
+    one = mixed.test(Candidate(first, "changed", (0,)))
+    wind = mixed.test(Candidate("wind", "changed", (0,)))
+    args = (EFFECTS, mixed, None, np.ones(4, bool))
+    named, tied = sought._with_mass_or_thrust([Named(one, []), Named(wind, [])], [], *args)
+    assert [n.test.offer.cause for n in named] == (["wind"] if ties else [first, "wind"])
+    assert [[t.offer.cause for t in tie.tests] for _, tie in tied] == ([[first, other]] if ties else [])
+    assert {frozenset(a) for a in asked_axes} == {frozenset({"Fx", "Fy"}), frozenset({"Mx", "My"})}
+    # a tie that it stands first in is widened, one that holds both already is left alone
+    third = mixed.test(Candidate("wind", "changed", (0,)))
+    named, tied = sought._with_mass_or_thrust([], [("changed", Tie([one, third], 1.0))], *args)
+    names = [first, other, "wind"] if ties else [first, "wind"]
+    assert not named and [t.offer.cause for t in tied[0][1].tests] == names
+    both = [("changed", Tie([one, mixed.test(Candidate(other, "changed", (0,)))], 1.0))]
+    assert sought._with_mass_or_thrust([], both, *args) == ([], both)

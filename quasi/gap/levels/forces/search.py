@@ -9,13 +9,13 @@ from scipy.stats import chi2
 
 from quasi.gap.effect import Effect, Limits, Vehicle, as_flown
 from quasi.gap.flights.evidence import Evidence
-from quasi.gap.levels.forces.axis_consistency import contradiction, voices
+from quasi.gap.levels.forces.axis_consistency import AXIS_T, contradiction, voices
 from quasi.gap.levels.forces.design import Design, gather_design, moved
 from quasi.gap.levels.forces.nonlinear import chords, started
 from quasi.gap.levels.trim_evidence import TrimEvidence, contradicted_by_trim
 from quasi.gap.materiality import Cause, Deviations, seen_in
 from quasi.gap.profile import Profile
-from quasi.gap.selection import FORCES, Named, Rules, Tie, select_causes
+from quasi.gap.selection import FORCES, SUSPECT, Named, Rules, Tie, select_causes
 from quasi.gap.statistics.candidates import Candidate, Test
 from quasi.gap.statistics.clustered import ClusteredMixedModel
 from quasi.gap.statistics.mixed import ALL_NEEDED_P, MixedModel
@@ -101,6 +101,7 @@ def seek(
     contradicted = {name: why for name, why in contradicted.items() if name not in twins}
     named, ties = _with_weaker_rotors(named, ties, asked, mixed, flown)
     named, ties = _with_another_mass(named, ties, asked, mixed, flown)
+    named, ties = _with_mass_or_thrust(named, ties, asked, mixed, study, compared)
     level, ranking = selection.level, selection.ranking
     return Sought(study, mixed, values, named, ties, ranking, level, contradicted, selection.rejected, flown, rules)
 
@@ -277,6 +278,36 @@ def _with_another_mass(
             tie = tie._replace(tests=[mass, *(t for t in tie.tests if t.offer.cause != "mass")], separability=0.0)
         tied.append((since, tie))
     return rest, tied
+
+
+def _with_mass_or_thrust(
+    named: Sequence[Named], ties: Sequence[tuple[str, Tie]], asked: Mapping[str, Effect], mixed: MixedModel,
+    study: Design, compared: np.ndarray,
+) -> tuple[list[Named], list[tuple[str, Tie]]]:  # fmt: skip
+    """Named causes and ties: another mass and other thrust are a tie where the axes on which one of them acts alone do
+    not decide. By F = m a they make the same of the vertical force; between its two columns noise would choose."""
+    clear, tied = list(named), list(ties)
+    firsts = [(one.test, one) for one in named] + [(pair[1].tests[0], pair) for pair in ties]
+    taken = {n.test.offer.cause for n in named} | {t.offer.cause for _, tie in ties for t in tie.tests}
+    for test, one in firsts:
+        cause, since, which = test.offer
+        other = {"mass": "thrust_factor", "thrust_factor": "mass"}.get(cause)
+        if other not in mixed.columns.causes or other in taken or which != (0,):
+            continue
+        offer, pooled = Candidate(other, since, which), mixed.pooled(since)
+        given = [o for o in offers_of(named, ties) if o != test.offer]
+        rival = mixed.test(offer, given, pooled)
+        alone = [set(asked[a].channels) - set(asked[b].channels) for a, b in ((cause, other), (other, cause))]
+        heard = [v for t, axes in zip((test, rival), alone) for v in voices(study, compared, t, pooled, given, axes)]
+        if rival.p >= SUSPECT or sum(v.std**-2.0 for v in heard) >= AXIS_T**2:
+            continue
+        if isinstance(one, Named):
+            clear.remove(one)
+            wald = mixed.test(test.offer, [*given, offer], pooled).wald
+            tied.append((since, Tie([test, rival], float(wald**0.5))))
+        else:
+            tied[tied.index(one)] = since, one[1]._replace(tests=[test, rival, *one[1].tests[1:]])
+    return clear, tied
 
 
 def _in_proportion(tests: Sequence[Test], own: Mapping[str, Mapping[str, float]], asked: Mapping[str, Effect]) -> bool:
