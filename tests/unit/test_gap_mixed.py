@@ -332,5 +332,22 @@ def test_a_barred_parameter_is_offered_to_all_flights_but_not_to_the_compared_on
     assert alone.best("c", "changed").offer.which == (0,)
     assert barred.best("c", "changed").offer.which == (1,)
     assert barred.best("c", "always").offer == alone.best("c", "always").offer
+    assert barred.best("c", "changed", parts="paired") is None  # nor is what accompanies it
     everything = MixedModel(grams, compared, LAYOUT._replace(barred={"a": frozenset({0})}))
     assert everything.best("a", "changed") is None
+
+
+@pytest.mark.parametrize(("also", "which"), [(0.3, (0, 1)), (0.0, (0,))])
+def test_a_parameter_is_offered_together_with_the_one_that_accompanies_it_where_that_is_needed(also, which):
+    """One fault with two parameters: each by itself may be fainter than another cause of what one of them makes."""
+    rng = np.random.default_rng(4)
+    compared = [False] * 4 + [True] * 4
+    grams, _ = flights(rng, 8, {5: 0.5, 6: also}, compared)
+    mixed = MixedModel(grams, compared, LAYOUT)
+    first = mixed.best("c", "changed", parts="paired")
+    assert first.offer.which == which
+    if also:
+        alone = mixed.test(Candidate("c", "changed", (0,)))
+        assert first.p < alone.p
+    given = [Candidate("c", "changed", (0,))]
+    assert mixed.best("c", "changed", given, parts="paired").offer.which == (1,)

@@ -315,12 +315,13 @@ class MixedModel:
 
         parts  "any": all of them, or one alone (the likeliest); "all": only together; "alike": together, equal or not;
         "first": the first, or the first few; "one": one alone, the likeliest; "led": the first, and once that is given
-        each other; "paired": as "any" of the first half, and of the second half those whose partner is given
+        each other; "paired": as "any" of the first half, the first one with its partner of the second half where that
+        is needed, and of the second half those whose partner is given
         """
         count = len(self.columns.causes[cause])
         taken = {k for o in given if o.cause == cause and o.since == since for k in o.which}
-        taken |= self.columns.barred.get(cause, frozenset()) if since == "changed" else frozenset()
-        free = tuple(k for k in range(count) if k not in taken and count not in taken)
+        barred = self.columns.barred.get(cause, frozenset()) if since == "changed" else frozenset()
+        free = tuple(k for k in range(count) if k not in taken | barred and count not in taken)
         partners: list[tuple[int, ...]] = []
         if parts == "paired":
             half = count // 2
@@ -346,8 +347,17 @@ class MixedModel:
             best = self._single_or_all(tests[0], tests[1:], given, pooled)
         else:
             best = min(tests, key=lambda test: test.unlikely if parts == "one" else test.p, default=None)
+        if parts == "paired" and best is not None and len(best.offer.which) == 1 and not taken:
+            best = self._with_partner(best, count // 2, given, pooled)
         best = min((t for t in (best, *paired) if t is not None), key=lambda test: test.p)
         return best._replace(p=min(best.p * (len(selections) + len(partners)) * self.columns.tries.get(cause, 1), 1.0))
+
+    def _with_partner(self, single: Test, half: int, given: Sequence[Candidate], pooled: Sequence[str]) -> Test:
+        """A parameter together with the one that accompanies it, where that is needed with it given."""
+        cause, since, (k,) = single.offer
+        partner = self.test(Candidate(cause, since, (k + half,)), [*given, single.offer], pooled)
+        both = self.test(Candidate(cause, since, (k, k + half)), given, pooled)
+        return both if partner.p < ALL_NEEDED_P and both.p < single.p else single
 
     def _single_or_all(
         self, whole: Test, singles: Sequence[Test], given: Sequence[Candidate], pooled: Sequence[str]
