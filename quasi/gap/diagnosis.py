@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -40,7 +41,13 @@ from quasi.gap.levels.rollouts import commanded, error_reduction, split_flights
 from quasi.gap.levels.rollouts.confirmation import Settled
 from quasi.gap.levels.rollouts.open_loop import HORIZON, MOVED_BY
 from quasi.gap.levels.sensors_and_drive import rate_of, reject_immaterial
-from quasi.gap.levels.trim_evidence import gather_trim, trim_entries, unnamed_change, why_rotor_is_enough
+from quasi.gap.levels.trim_evidence import (
+    contradicted_by_trim,
+    gather_trim,
+    trim_entries,
+    unnamed_change,
+    why_rotor_is_enough,
+)
 from quasi.gap.losses import correction_matters, drive_losses, losses
 from quasi.gap.materiality import Cause
 from quasi.gap.probability import add_probabilities
@@ -135,7 +142,7 @@ def diagnose(
         rate, unheard = (rate_of(settings["false alarm rate"], sum(compared), n) for n in (len(held), 0))
         found = examine(
             learning, compared, held, model, asked_of, vehicle, rate, share, settings["extended model ID"],
-            f"gap {name}", unheard, trim,
+            f"gap {name}", unheard, partial(contradicted_by_trim, trim, mass=vehicle.mass),
         )  # fmt: skip
         if case.corrected and _refit_loses(case, found):
             case = case._replace(corrected=False)

@@ -353,11 +353,12 @@ class MixedModel:
         return best._replace(p=min(best.p * (len(selections) + len(partners)) * self.columns.tries.get(cause, 1), 1.0))
 
     def _with_partner(self, single: Test, half: int, given: Sequence[Candidate], pooled: Sequence[str]) -> Test:
-        """A parameter together with the one that accompanies it, where that is needed with it given."""
+        """A parameter together with the one that accompanies it, where each is needed with the other given."""
         cause, since, (k,) = single.offer
-        partner = self.test(Candidate(cause, since, (k + half,)), [*given, single.offer], pooled)
+        pair = [Candidate(cause, since, (n,)) for n in (k, k + half)]
+        needed = all(self.test(a, [*given, b], pooled).p < ALL_NEEDED_P for a, b in (pair, pair[::-1]))
         both = self.test(Candidate(cause, since, (k, k + half)), given, pooled)
-        return both if partner.p < ALL_NEEDED_P and both.p < single.p else single
+        return both if needed and both.p < single.p else single
 
     def _single_or_all(
         self, whole: Test, singles: Sequence[Test], given: Sequence[Candidate], pooled: Sequence[str]

@@ -17,8 +17,7 @@ from quasi.gap.levels.forces.design import Design, in_stretches
 from quasi.gap.levels.forces.error_reduction import after, wrench_score
 from quasi.gap.levels.forces.held_out import HeldOut
 from quasi.gap.levels.forces.nonlinear import flatness
-from quasi.gap.levels.forces.search import Sought, estimate, merged, offers_of, seek, share_on_axes
-from quasi.gap.levels.trim_evidence import TrimEvidence
+from quasi.gap.levels.forces.search import Contradicts, Sought, estimate, merged, offers_of, seek, share_on_axes
 from quasi.gap.materiality import Cause, material, simplest
 from quasi.gap.profile import Profile
 from quasi.gap.selection import EXCESSIVE, FORM_ERROR, UNPHYSICAL, Named, Tie, is_absent
@@ -61,7 +60,7 @@ class Found:
 def examine(
     flights: Sequence[Evidence], compared: Sequence[bool], held: Sequence[Evidence], model: Model,
     effects: Mapping[str, Effect], vehicle: Vehicle, rate: float, share: float, name: str, where: str,
-    unheard: float | None = None, trim: TrimEvidence | None = None,
+    unheard: float | None = None, against: Contradicts | None = None,
 ) -> Found:  # fmt: skip
     """Name the causes in `flights`, extend the model and measure the gain on `held` flights.
 
@@ -69,7 +68,7 @@ def examine(
     removable error of some axis that a cause must remove on held-out flights to be material
     name      of the extended model; where  what asked, for provenance
     unheard   false alarm rate of what held-out flights do not show and so cannot judge, where that is another
-    trim      what the trim in steady flight says
+    against   what the trim in steady flight contradicts, see `seek`
     Raises ConfigError without two compared flights to learn from, or without a held-out one.
     """
     compared = np.asarray(compared, bool)
@@ -86,7 +85,7 @@ def examine(
     unbearable = weightless | _carried(asked, model)
     asked = {n: e for n, e in asked.items() if n not in unbearable}
     within = {n: e.limits(vehicle) for n, e in asked.items()}
-    sought = seek(flights, asked, vehicle, compared, rate, within, trim)
+    sought = seek(flights, asked, vehicle, compared, rate, within, against)
     study, mixed, ties = sought.study, sought.mixed, sought.ties
     given = offers_of(sought.named, ties)
     causes = merged(sought.named, asked, mixed, given, sought.flown)

@@ -1,6 +1,6 @@
 """Causes sought in the flights that learn: searched, linearised where found, searched again until they stay."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -12,7 +12,6 @@ from quasi.gap.flights.evidence import Evidence
 from quasi.gap.levels.forces.axis_consistency import AXIS_T, contradiction, voices
 from quasi.gap.levels.forces.design import Design, gather_design, moved
 from quasi.gap.levels.forces.nonlinear import chords, started
-from quasi.gap.levels.trim_evidence import TrimEvidence, contradicted_by_trim
 from quasi.gap.materiality import Cause, Deviations, seen_in
 from quasi.gap.profile import Profile
 from quasi.gap.selection import FORCES, SUSPECT, Named, Rules, Tie, select_causes
@@ -23,6 +22,8 @@ from quasi.gap.statistics.mixed import ALL_NEEDED_P, MixedModel
 ASTRAY = 0.5  # of its size, that a cause may move when it is linearised there
 STAYS = 0.02  # of its size, by which a cause that moves less stays where it is
 FORCE_ITERATIONS = 4  # how often curved causes are linearised anew, and contradicted ones left out
+# [(id, deviations)] of all changes together -> {position of one that is contradicted: why}, the worst first
+Contradicts = Callable[[Sequence[tuple[str, Deviations]]], Mapping[int, str]]
 KNOWN = 0.05  # share to which the forms hold and what they are made of is known: thrust of a rotor, hubs, own drag
 
 
@@ -50,12 +51,12 @@ class Sought(NamedTuple):
 
 def seek(
     flights: Sequence[Evidence], asked: Mapping[str, Effect], vehicle: Vehicle, compared: np.ndarray, rate: float,
-    within: Mapping[str, Limits], trim: TrimEvidence | None = None,
+    within: Mapping[str, Limits], against: Contradicts | None = None,
 ) -> Sought:  # fmt: skip
     """Search causes in flights.
 
     asked  the causes, by id; compared (F,) bool, False for reference flights; rate  family-wise false alarm rate
-    within {cause: what is physical of its parameters' deviations}; trim  what the trim in steady flight says
+    within {cause: what is physical of its parameters' deviations}; against  what the trim in steady flight contradicts
     A cause that its axes or the trim contradict is left out, and the others are sought without it.
     """
     flown = as_flown(vehicle, [flight for flight, flag in zip(flights, compared) if flag])
@@ -89,10 +90,10 @@ def seek(
         elsewhere = any(_elsewhere(asked, curved[flag], values[flag]) for flag in (True, False))
         values = curved
         torn = _contradicted(causes, ties, asked, mixed, study, compared)
-        single, against = ({}, {}) if torn else _against_trim(causes, trim, vehicle.mass)
-        contradicted |= torn | against
-        barred = {**barred, **{n: which | barred.get(n, frozenset()) for n, which in single.items()}}
-        if not (elsewhere or torn or single or against):
+        alone, refused = ({}, {}) if torn else _against_trim(causes, against)
+        contradicted |= torn | refused
+        barred = {**barred, **{n: which | barred.get(n, frozenset()) for n, which in alone.items()}}
+        if not (elsewhere or torn or alone or refused):
             break
     ties = [(s, tie) for s, tie in ties if not any(t.offer.cause in contradicted for t in tie.tests)]
     named = [n for n in named if n.test.offer.cause not in contradicted]
@@ -199,16 +200,17 @@ def _contradicted(
 
 
 def _against_trim(
-    causes: Sequence[Cause], trim: TrimEvidence | None, mass: float
+    causes: Sequence[Cause], against: Contradicts | None
 ) -> tuple[dict[str, frozenset[int]], dict[str, tuple[Test, str]]]:
-    """The change that the trim contradicts most: its one parameter, where another one of the cause may be meant, as
-    another rotor; or the cause with its test and why."""
+    """The change that the trim contradicts most: its one parameter, where that is contradicted by itself and another
+    one of the cause may be meant, as another rotor; or the cause, which only helps others, with its test and why."""
     changed = [c for c in causes if c.since == "changed"]
-    for k, why in contradicted_by_trim(trim, [(c.effect.id, c.value) for c in changed], mass).items():
+    sizes = [(c.effect.id, c.value) for c in changed]
+    for k, why in against(sizes).items() if against and changed else ():
         effect, which = changed[k].effect, changed[k].test.offer.which
         half = len(effect.fitted) // 2 if effect.parts == "paired" else len(effect.fitted)
         leading = frozenset(n for n in which if n < half)
-        if effect.parts in ("any", "paired", "one") and len(leading) == 1 < half:
+        if effect.parts in ("any", "paired", "one") and len(leading) == 1 < half and against(sizes[k : k + 1]):
             return {effect.id: leading}, {}
         return {}, {effect.id: (changed[k].test, why)}
     return {}, {}
