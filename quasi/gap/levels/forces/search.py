@@ -288,27 +288,32 @@ def _with_mass_or_thrust(
 ) -> tuple[list[Named], list[tuple[str, Tie]]]:  # fmt: skip
     """Named causes and ties: another mass and other thrust are a tie where the axes on which one of them acts alone do
     not decide. By F = m a they make the same of the vertical force; between its two columns noise would choose."""
-    clear, tied = list(named), list(ties)
-    firsts = [(one.test, one) for one in named] + [(pair[1].tests[0], pair) for pair in ties]
     taken = {n.test.offer.cause for n in named} | {t.offer.cause for _, tie in ties for t in tie.tests}
-    for test, one in firsts:
+
+    def rival_of(test: Test) -> tuple[Test, float] | None:
+        """The test of the other one, where it cannot be excluded, and |t| of this one with it given."""
         cause, since, which = test.offer
         other = {"mass": "thrust_factor", "thrust_factor": "mass"}.get(cause)
         if other not in mixed.columns.causes or other in taken or which != (0,):
-            continue
+            return None
         offer, pooled = Candidate(other, since, which), mixed.pooled(since)
         given = [o for o in offers_of(named, ties) if o != test.offer]
         rival = mixed.test(offer, given, pooled)
         alone = [set(asked[a].channels) - set(asked[b].channels) for a, b in ((cause, other), (other, cause))]
         heard = [v for t, axes in zip((test, rival), alone) for v in voices(study, compared, t, pooled, given, axes)]
         if rival.p >= SUSPECT or sum(v.std**-2.0 for v in heard) >= AXIS_T**2:
-            continue
-        if isinstance(one, Named):
-            clear.remove(one)
-            wald = mixed.test(test.offer, [*given, offer], pooled).wald
-            tied.append((since, Tie([test, rival], float(wald**0.5))))
+            return None
+        return rival, float(mixed.test(test.offer, [*given, offer], pooled).wald ** 0.5)
+
+    clear, tied = [], []
+    for one in named:
+        if found := rival_of(one.test):
+            tied.append((one.test.offer.since, Tie([one.test, found[0]], found[1])))
         else:
-            tied[tied.index(one)] = since, one[1]._replace(tests=[test, rival, *one[1].tests[1:]])
+            clear.append(one)
+    for since, tie in ties:
+        first, *others = tie.tests
+        tied.append((since, tie._replace(tests=[first, found[0], *others]) if (found := rival_of(first)) else tie))
     return clear, tied
 
 
