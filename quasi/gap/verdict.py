@@ -37,7 +37,7 @@ from quasi.gap.losses import (
     simulated_rows,
     wrench_pairs,
 )
-from quasi.gap.materiality import Cause
+from quasi.gap.materiality import Cause, seen_in
 from quasi.gap.selection import FORM_ERROR
 from quasi.gap.statistics.candidates import Candidate
 from quasi.model.model import AXES, Model
@@ -110,7 +110,8 @@ def judge_causes(case: Case, found: Found) -> tuple[Settled, unexplained.Left]:
     found.ties = [(since, t) for since, t in found.ties if (t.tests[0].offer.cause, since) not in unsure]
     _drop_needless_ties(case, found)
     sure = _significant_next_to_rotor(case, found, sure)
-    settled = settle(found, sure, case.model, case.compared, case.effects, case.vehicle, case.held, case.tables)
+    _drop_ties_in_part(case, found, sure)
+    settled = _settled(case, found, sure)
 
     def made(causes: Sequence[Cause], anew: bool) -> Model:
         return Model(case.extended(causes, found.study, "trial", anew), "trial")
@@ -133,6 +134,29 @@ def judge_causes(case: Case, found: Found) -> tuple[Settled, unexplained.Left]:
     settled, left = _outdone(case, settled, found, left_by)
     rest = _next_to_unknown(case, settled, found, left)
     return (rest, left) if rest is settled else _outdone(case, rest, found, left_by)
+
+
+def _settled(case: Case, found: Found, causes: Sequence[Cause]) -> Settled:
+    return settle(found, causes, case.model, case.compared, case.effects, case.vehicle, case.held, case.tables)
+
+
+def _drop_ties_in_part(case: Case, found: Found, causes: Sequence[Cause]) -> None:
+    """Take ties from `found` whose first cause acts on axes of which the base model explains nothing as well, where
+    roll-outs do not confirm it: on the rest more causes than these may fit, as of a named one."""
+    unseen = {k for flight in case.learning for k in flight.excluded}
+    partial = [pair for pair in found.ties if unseen & set(seen_in(case.effects[pair[1].tests[0].offer.cause]))]
+    firsts = {(tie.tests[0].offer.cause, since) for since, tie in partial}
+    doubtful = [c for c in found.stand_ins if (c.effect.id, c.since) in firsts]
+    if not doubtful:
+        return
+    for cause, confirmation in _settled(case, found, [*causes, *doubtful]).dropped:
+        key = (cause.effect.id, cause.since)
+        if key not in firsts:
+            continue
+        gone = [pair for pair in partial if (pair[1].tests[0].offer.cause, pair[0]) == key]
+        found.ties = [pair for pair in found.ties if not any(pair is other for other in gone)]
+        found.stand_ins = [c for c in found.stand_ins if (c.effect.id, c.since) != key]
+        found.contradicted |= {t.offer.cause: (t, confirmation.why) for _, tie in gone for t in tie.tests}
 
 
 def _without(settled: Settled, cause: Cause, why: str, outcome: str = REFUTED) -> Settled:
