@@ -314,9 +314,9 @@ class Search:
 
         def merit(a: Test) -> tuple[bool, bool, int, float]:
             """One that another explains away ranks below all that none does, however many it explains away itself. Of
-            these, what is fainter by more than forms err ranks below: of a clear cause's form, a faint one may explain
-            more rivals away."""
-            clear = undisputed.get(a.offer, 0.0) >= clearest
+            these, a change that is fainter by more than forms err ranks below: of a clear cause's form, a faint one may
+            explain more rivals away. What all flights have is mostly form, and clear in any case."""
+            clear = self.since == "always" or undisputed.get(a.offer, 0.0) >= clearest
             return a.offer in undisputed, clear, sum(balances[a.offer]), -a.p
 
         def explains_more(wide: Test, simple: Test) -> bool:
