@@ -9,6 +9,7 @@ from gap_documents import KNOWN, document
 
 from quasi.attitude import GRAVITY
 from quasi.gap import verdict
+from quasi.gap.catalogue import catalogue
 from quasi.gap.diagnosis import verdict_of
 from quasi.gap.effect import Vehicle
 from quasi.gap.levels.trim_evidence import (
@@ -207,6 +208,40 @@ def test_what_is_significant_without_the_rotor_of_the_trim_alone_is_none(p_with_
     asked.clear()
     other = SimpleNamespace(**vars(case) | {"trim": commanded([1.0] * 4)})
     assert _significant_next_to_rotor(other, found, [cause]) == [cause] and not asked
+
+
+@pytest.mark.parametrize(
+    ("causes", "excluded", "refuted", "stays"),
+    [
+        (("rotor_interference", "translational_lift"), (4,), True, False),
+        (("rotor_interference", "translational_lift"), (4,), False, True),
+        (("rotor_interference", "translational_lift"), (0,), True, True),
+        (("translational_lift", "rotor_interference"), (4,), True, True),
+    ],
+)  # fmt: skip
+def test_a_tie_that_acts_on_axes_that_the_model_does_not_know_needs_its_roll_outs(
+    monkeypatch, causes, excluded, refuted, stays
+):
+    """A weight that swings on a string had been a tie of rotors in each other's wake and translational lift."""
+    found, judged = tied(*causes), []
+    first = SimpleNamespace(effect=catalogue()[causes[0]], since="changed", test=found.ties[0][1].tests[0])
+    found.stand_ins = [first]
+    named = SimpleNamespace(effect=catalogue()["wind"], since="changed")
+
+    def settle(case, found, asked):
+        judged.extend(asked)
+        return SimpleNamespace(dropped=[(first, SimpleNamespace(why="no motion"))] if refuted else [])
+
+    monkeypatch.setattr(verdict, "_settled", settle)
+    case = SimpleNamespace(
+        effects=catalogue(), learning=[SimpleNamespace(excluded=()), SimpleNamespace(excluded=excluded)]
+    )
+    verdict._drop_ties_in_part(case, found, [named])
+    assert bool(found.ties) is bool(found.stand_ins) is stays
+    assert {n: why for n, (_, why) in found.contradicted.items()} == (
+        {} if stays else dict.fromkeys(causes, "no motion")
+    )
+    assert judged == ([named, first] if excluded == (4,) and causes[0] == "rotor_interference" else [])
 
 
 def test_causes_that_are_sure_are_asked_next_to_the_rotor_of_the_trim(monkeypatch):
