@@ -54,7 +54,7 @@ from quasi.gap.probability import add_probabilities
 from quasi.gap.report.wording import summary
 from quasi.gap.scores import scored
 from quasi.gap.selection import SUSPECT
-from quasi.gap.verdict import errors_beyond_references, judge_causes
+from quasi.gap.verdict import errors_beyond_references, judge_causes, refused_changes
 from quasi.model.extensions import configured_mass
 from quasi.model.model import AXES, Model
 
@@ -180,6 +180,8 @@ def diagnose(
             restless = gusts(found.study, compared, [c.effect.id for c in kept])
         if not lists["unexplained"] and not restless:
             lists["unexplained"] += errors_beyond_references(case, settled, found)
+        if not (lists["unexplained"] or restless or kept or found.ties):
+            lists["unexplained"] += refused_changes(case, found)
     lower_effects = [lower_effect(e, level, gap) for level in ("sensors", "drive") for e in levels[level]["effects"]]
     lower_effects, shifted = of_late_telemetry(lower_effects)
     corrected_ones = [e for e in lower_effects if corrected_at_import(e["id"], e["level"])]

@@ -15,6 +15,7 @@ import numpy as np
 from quasi.gap.catalogue import whole_of
 from quasi.gap.effect import Effect
 from quasi.gap.entries import needed
+from quasi.gap.flights.covariates import EVERYWHERE
 from quasi.gap.levels.forces import unexplained
 from quasi.gap.levels.forces.beyond_references import left_beyond_references
 from quasi.gap.levels.forces.case import Case
@@ -392,3 +393,26 @@ def errors_beyond_references(case: Case, settled: Settled, found: Found) -> list
     usual = residual_of_others(found.study, references) if own else after(case.model, case.model)
     rate = 0.5 * case.settings["false alarm rate"] / SEARCHES
     return left_beyond_references(references, others, usual, after(stood_for, case.model), rate)
+
+
+def refused_changes(case: Case, found: Found) -> list[dict[str, Any]]:
+    """Entries of "unexplained": significant changes that the trim or the axes refuse, where nothing takes their place.
+    They are not what they look like, but something changed."""
+    entries = []
+    for name, (test, why) in found.contradicted.items():
+        if test.offer.since != "changed" or test.p >= found.level["changed"] or name not in case.effects:
+            continue
+        effect = case.effects[name]
+        values = {effect.fitted[k]: float(v) for k, v in zip(test.offer.which, test.value)}
+        flights = [f for f, flag in zip(case.learning, case.compared) if flag]
+        made = np.mean([np.mean(whole_of(effect, f, case.vehicle, values) ** 2, axis=0) for f in flights], axis=0)
+        own = np.mean([np.mean(f.residual**2, axis=0) for f in flights], axis=0)
+        axes = [k for k in seen_in(effect) if not any(k in f.excluded for f in case.learning)]
+        if axes:
+            k = max(axes, key=lambda k: made[k] / max(own[k], 1e-300))
+            entries.append({
+                "channel": AXES[k], "where": EVERYWHERE, "judged": False, "share": None, "since": "changed",
+                "size": float(np.sqrt(made[k])), "unit": "N" if k < 3 else "N m", "mostly": [],
+                "evidence": {"p": test.p, "looks like": name, "why not": why},
+            })  # fmt: skip
+    return entries

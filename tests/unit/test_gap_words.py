@@ -52,6 +52,10 @@ def test_a_cause_that_held_out_flights_do_not_show_is_told_as_not_judged():
 
 def test_an_unexplained_residual_is_told_with_its_size_and_where_it_lives():
     left = {"channel": "Fz", "judged": True, "share": 0.5, "size": 0.123, "unit": "N", "since": "changed"}
+    refused = {"looks like": "mass", "why not": "the trim shows none"}
+    stated = left_sentence({**left, "where": "everywhere", "judged": False, "share": None, "evidence": refused})
+    assert "It looks like mass, which is refused: the trim shows none. No cause explains this." in stated
+    assert "held-out" not in stated
     at = left_sentence({**left, "where": "heading", "mostly": [[0.7, 1.05], [2.0, 2.1]]})
     assert "is off by 0.12 N rms in the compared flights along the heading, mostly at 40 to 60 and 114.6 to 120.3" in at
     assert "deg, with 50 % of its removable error on the held-out flights. No cause explains this." in at

@@ -312,3 +312,24 @@ def test_a_wrong_logged_mass_is_not_rejected_although_the_rotors_turn_as_before(
     found = gather_trim(tables, ROLES_OF, SESSIONS, vehicle(), masses)
     lighter = {"mass": MASS / 1.15 - MASS}
     assert bool(rejected_by_trim(found, [("mass", lighter)], MASS)) is rejected
+
+
+@pytest.mark.parametrize(
+    ("since", "p", "unexplained"), [("changed", 1e-6, True), ("changed", 0.1, False), ("always", 1e-6, False)]
+)
+def test_a_change_that_the_trim_refuses_and_nothing_replaces_is_unexplained_and_no_agreement(
+    monkeypatch, since, p, unexplained
+):
+    """A weight near two rotors had been judged `agrees`: as a mass it would have asked all rotors for more thrust."""
+    made = np.tile([0.0, 0.0, -0.2, 0.0, 0.0, 0.0], (10, 1))
+    monkeypatch.setattr(verdict, "whole_of", lambda effect, flight, vehicle, values: made * values["mass"])
+    flights = [SimpleNamespace(excluded=(0,), residual=np.ones((10, 6))) for _ in range(2)]
+    case = SimpleNamespace(effects=catalogue(), learning=flights, compared=[False, True], vehicle=None)
+    test = mixed.Test(mixed.Candidate("mass", since, (0,)), np.array([0.5]), np.eye(1), 1.0, 30.0, p)
+    found = SimpleNamespace(contradicted={"mass": (test, "the trim")}, level={"changed": 1e-3})
+    entries = verdict.refused_changes(case, found)
+    assert bool(entries) is unexplained
+    if unexplained:
+        assert (entries[0]["channel"], entries[0]["where"], entries[0]["since"]) == ("Fz", "everywhere", "changed")
+        assert entries[0]["size"] == pytest.approx(0.1) and entries[0]["unit"] == "N"
+        assert entries[0]["evidence"] == {"p": p, "looks like": "mass", "why not": "the trim"}

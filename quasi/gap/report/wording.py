@@ -262,7 +262,10 @@ def left_sentence(left: Mapping[str, Any]) -> str:
     if where == "frequency" and left.get("mostly"):
         low, high = left["mostly"][0]
         along = f"in time, at {low:.2f} to {high:.2f} Hz"
-    if not left["judged"]:
+    refused = (left.get("evidence") or {}).get("looks like")
+    if refused:
+        share = f". It looks like {name_of(refused)}, which is refused: {left['evidence']['why not']}"
+    elif not left["judged"]:
         share = "; the held-out flights do not go there and cannot judge it"
     elif left["share"] is None:
         share = ", on the held-out flights too"
