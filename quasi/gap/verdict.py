@@ -412,7 +412,7 @@ def refused_changes(case: Case, found: Found) -> list[dict[str, Any]]:
             k = max(axes, key=lambda k: made[k] / max(own[k], 1e-300))
             entries.append({
                 "channel": AXES[k], "where": EVERYWHERE, "judged": False, "share": None, "since": "changed",
-                "size": float(np.sqrt(made[k])), "unit": "N" if k < 3 else "N m", "mostly": [],
+                "size": float(np.sqrt(own[k])), "unit": "N" if k < 3 else "N m", "mostly": [],
                 "evidence": {"p": test.p, "looks like": name, "why not": why},
             })  # fmt: skip
     return entries

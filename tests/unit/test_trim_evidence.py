@@ -323,7 +323,7 @@ def test_a_change_that_the_trim_refuses_and_nothing_replaces_is_unexplained_and_
     """A weight near two rotors had been judged `agrees`: as a mass it would have asked all rotors for more thrust."""
     made = np.tile([0.0, 0.0, -0.2, 0.0, 0.0, 0.0], (10, 1))
     monkeypatch.setattr(verdict, "whole_of", lambda effect, flight, vehicle, values: made * values["mass"])
-    flights = [SimpleNamespace(excluded=(0,), residual=np.ones((10, 6))) for _ in range(2)]
+    flights = [SimpleNamespace(excluded=(0,), residual=np.full((10, 6), size)) for size in (9.0, 0.3)]
     case = SimpleNamespace(effects=catalogue(), learning=flights, compared=[False, True], vehicle=None)
     test = mixed.Test(mixed.Candidate("mass", since, (0,)), np.array([0.5]), np.eye(1), 1.0, 30.0, p)
     found = SimpleNamespace(contradicted={"mass": (test, "the trim")}, level={"changed": 1e-3})
@@ -331,5 +331,5 @@ def test_a_change_that_the_trim_refuses_and_nothing_replaces_is_unexplained_and_
     assert bool(entries) is unexplained
     if unexplained:
         assert (entries[0]["channel"], entries[0]["where"], entries[0]["since"]) == ("Fz", "everywhere", "changed")
-        assert entries[0]["size"] == pytest.approx(0.1) and entries[0]["unit"] == "N"
+        assert entries[0]["size"] == pytest.approx(0.3) and entries[0]["unit"] == "N"
         assert entries[0]["evidence"] == {"p": p, "looks like": "mass", "why not": "the trim"}
