@@ -86,6 +86,7 @@ class Selection:
 
     named, ties  accepted causes, most significant first, and ties; ranking  the last tests of all candidates
     level        {since: p-value that a cause had to fall below}
+    order        accepted causes and firsts of ties, as they were accepted
     marginal     {offer: test} of every candidate before anything was accepted
     rejected     {offer: why} of significant candidates that were not accepted
     """
@@ -96,6 +97,7 @@ class Selection:
     marginal: dict[Candidate, Test] = field(default_factory=dict)
     level: dict[str, float] = field(default_factory=dict)
     rejected: dict[Candidate, str] = field(default_factory=dict)
+    order: list[Candidate] = field(default_factory=list)
 
     @property
     def offers(self) -> list[Candidate]:
@@ -154,6 +156,7 @@ def select_causes(
         found.marginal |= one.marginal
         found.level |= one.level
         found.rejected |= one.rejected
+        found.order += one.order
     found.ranking.sort(key=lambda test: test.p)
     return found
 
@@ -192,7 +195,8 @@ class Search:
             self._accept(*self._step(accepted, ranking))
         named, simpler = self._one_for_several(self._eliminate())
         level = {self.since: self.level}
-        return Selection(named, [*self.ties, *simpler], ranking, self.marginal, level, self.rejected)
+        order = self.given[len(self.known) :]
+        return Selection(named, [*self.ties, *simpler], ranking, self.marginal, level, self.rejected, order)
 
     def _test(self, offer: Candidate, *given: Candidate, without: Candidate | None = None) -> Test:
         others = [g for g in self.given if g != without]

@@ -468,7 +468,7 @@ def test_a_cause_that_the_trim_contradicts_is_left_out_and_the_others_are_sought
     names = [[n.test.offer.cause for n in side.named if n.test.offer.since == "changed"] for side in sides]
     assert names[0] == ["mass"] and "mass" not in names[1]
     assert sides[1].contradicted["mass"][1] == "the trim" and not sides[0].contradicted
-    assert asked_of[0] == ["mass"] and len(asked_of) > 1 and "mass" not in asked_of[1]
+    assert asked_of[0] == ["mass"] and "mass" not in asked_of[-1]
     alike = {n: EFFECTS[n] for n in EFFECTS if n != "mass"}
     without = sought.seek(flights, alike, vehicle, compared, 0.01, within)
     assert [n.test.offer for n in sides[1].named] == [n.test.offer for n in without.named]
@@ -523,23 +523,33 @@ def test_mass_and_thrust_are_a_tie_where_no_other_axis_than_the_vertical_decides
 
 
 def test_a_rotor_that_the_trim_contradicts_by_itself_leaves_the_others_to_ask():
-    """A rotor next to a moved cg that is refused with it alone only helps the form of that one: no rotor is asked."""
+    """What it contradicts only together with another cause helps the form of that one, if it was accepted later."""
 
     def cause(name, which, since="changed"):
+        effect = catalogue()[name]
         test = SimpleNamespace(offer=Candidate(name, since, which))
-        return SimpleNamespace(effect=catalogue()[name], since=since, value={"of": float(which[0])}, test=test)
+        return SimpleNamespace(effect=effect, since=since, value={effect.fitted[n]: 0.1 for n in which}, test=test)
 
-    def says(refused):
-        return lambda causes: {k: "why" for k, (name, _) in enumerate(causes) if (name, len(causes)) in refused}
+    rotor, cg, wind = cause("rotor_effectiveness", (0, 3, 7)), cause("cg_offset", (0, 1, 2)), cause("wind", (0, 1))
 
-    rotor, cg = cause("rotor_effectiveness", (3, 7)), cause("cg_offset", (0, 1, 2))
-    both = {("rotor_effectiveness", 2), ("rotor_effectiveness", 1)}
-    assert sought._against_trim([rotor, cg], says(both)) == ({"rotor_effectiveness": frozenset({3})}, {})
-    helps = sought._against_trim([rotor, cg], says({("rotor_effectiveness", 2)}))
-    assert helps == ({}, {"rotor_effectiveness": (rotor.test, "why")})
-    moved = {("cg_offset", 2), ("cg_offset", 1)}
-    assert sought._against_trim([rotor, cg], says(moved)) == ({}, {"cg_offset": (cg.test, "why")})
-    assert sought._against_trim([rotor, cg], says(set())) == ({}, {})
-    assert sought._against_trim([rotor, cg], None) == ({}, {})
-    usual = cause("rotor_effectiveness", (3,), "always")
-    assert sought._against_trim([usual], says({("rotor_effectiveness", 1)})) == ({}, {})
+    def against_rotor_4(causes):
+        return {k: "why" for k, (_, value) in enumerate(causes) if "rotor4" in value}
+
+    order = [rotor.test.offer, cg.test.offer, wind.test.offer]
+    assert sought._against_trim([cg, rotor], against_rotor_4, order) == ({"rotor_effectiveness": frozenset({3})}, {})
+
+    def together(causes):
+        names = [name for name, _ in causes]
+        return {names.index("rotor_effectiveness"): "why"} if {"rotor_effectiveness", "cg_offset"} <= set(names) else {}
+
+    for accepted, last in ((order, cg), (order[::-1], rotor)):
+        found = sought._against_trim([cg, wind, rotor], together, accepted)
+        assert found == ({}, {last.effect.id: (last.test, "why")})
+
+    def against_cg(causes):
+        return {k: "why" for k, (name, _) in enumerate(causes) if name == "cg_offset"}
+
+    assert sought._against_trim([rotor, cg], against_cg, order) == ({}, {"cg_offset": (cg.test, "why")})
+    for says in (lambda causes: {}, None):
+        assert sought._against_trim([rotor, cg], says, order) == ({}, {})
+    assert sought._against_trim([cause("cg_offset", (0, 1, 2), "always")], against_cg, order) == ({}, {})

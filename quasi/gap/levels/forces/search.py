@@ -90,7 +90,7 @@ def seek(
         elsewhere = any(_elsewhere(asked, curved[flag], values[flag]) for flag in (True, False))
         values = curved
         torn = _contradicted(causes, ties, asked, mixed, study, compared)
-        alone, refused = ({}, {}) if torn else _against_trim(causes, against)
+        alone, refused = ({}, {}) if torn else _against_trim(causes, against, selection.order)
         contradicted |= torn | refused
         barred = {**barred, **{n: which | barred.get(n, frozenset()) for n, which in alone.items()}}
         if not (elsewhere or torn or alone or refused):
@@ -200,20 +200,32 @@ def _contradicted(
 
 
 def _against_trim(
-    causes: Sequence[Cause], against: Contradicts | None
+    causes: Sequence[Cause], against: Contradicts | None, order: Sequence[Candidate]
 ) -> tuple[dict[str, frozenset[int]], dict[str, tuple[Test, str]]]:
-    """The change that the trim contradicts most: its one parameter, where that is contradicted by itself and another
-    one of the cause may be meant, as another rotor; or the cause, which only helps others, with its test and why."""
+    """The change that the trim contradicts most: those of its parameters that are contradicted by themselves, where
+    another one may be meant, as another rotor; or the cause, with its test and why. Of causes that it contradicts only
+    together, the one that was accepted last goes: it helps the form of the other.
+
+    order  offers as they were accepted
+    """
     changed = [c for c in causes if c.since == "changed"]
     sizes = [(c.effect.id, c.value) for c in changed]
-    for k, why in against(sizes).items() if against and changed else ():
-        effect, which = changed[k].effect, changed[k].test.offer.which
+    refused = against(sizes) if against and changed else {}
+    if not refused:
+        return {}, {}
+    k, why = next(iter(refused.items()))
+    effect, which = changed[k].effect, changed[k].test.offer.which
+    if against(sizes[k : k + 1]):
         half = len(effect.fitted) // 2 if effect.parts == "paired" else len(effect.fitted)
-        leading = frozenset(n for n in which if n < half)
-        if effect.parts in ("any", "paired", "one") and len(leading) == 1 < half and against(sizes[k : k + 1]):
-            return {effect.id: leading}, {}
+        single = {n: {effect.fitted[n]: changed[k].value.get(effect.fitted[n], 0.0)} for n in which if n < half}
+        wrong = frozenset(n for n, value in single.items() if against([(effect.id, value)]))
+        if effect.parts in ("any", "paired", "one") and 0 < len(wrong) < half:
+            return {effect.id: wrong}, {}
         return {}, {effect.id: (changed[k].test, why)}
-    return {}, {}
+    accepted = [o.cause for o in order]
+    helps = [n for n in range(len(sizes)) if n == k or not against([*sizes[:n], *sizes[n + 1 :]])]
+    last = max(helps, key=lambda n: accepted.index(changed[n].effect.id))
+    return {}, {changed[last].effect.id: (changed[last].test, why)}
 
 
 def _with_twins(
