@@ -397,9 +397,9 @@ def errors_beyond_references(case: Case, settled: Settled, found: Found) -> list
 
 def refused_changes(case: Case, found: Found) -> list[dict[str, Any]]:
     """Entries of "unexplained": significant changes that the trim or the axes refuse, where nothing takes their place.
-    They are not what they look like, but something changed."""
+    They are not what they look like, but something changed. A rotor that the trim alone names takes their place."""
     entries = []
-    for name, (test, why) in found.contradicted.items():
+    for name, (test, why) in () if named_rotor(case.trim) else found.refused.items():
         if test.offer.since != "changed" or test.p >= found.level["changed"] or name not in case.effects:
             continue
         effect = case.effects[name]

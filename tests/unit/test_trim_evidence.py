@@ -324,10 +324,15 @@ def test_a_change_that_the_trim_refuses_and_nothing_replaces_is_unexplained_and_
     made = np.tile([0.0, 0.0, -0.2, 0.0, 0.0, 0.0], (10, 1))
     monkeypatch.setattr(verdict, "whole_of", lambda effect, flight, vehicle, values: made * values["mass"])
     flights = [SimpleNamespace(excluded=(0,), residual=np.full((10, 6), size)) for size in (9.0, 0.3)]
-    case = SimpleNamespace(effects=catalogue(), learning=flights, compared=[False, True], vehicle=None)
+    case = SimpleNamespace(effects=catalogue(), learning=flights, compared=[False, True], vehicle=None, trim=None)
     test = mixed.Test(mixed.Candidate("mass", since, (0,)), np.array([0.5]), np.eye(1), 1.0, 30.0, p)
-    found = SimpleNamespace(contradicted={"mass": (test, "the trim")}, level={"changed": 1e-3})
+    refused = {"mass": (test, "the trim")}
+    found = SimpleNamespace(refused=refused, contradicted=refused, level={"changed": 1e-3})
     entries = verdict.refused_changes(case, found)
+    # what the search did not refuse, but the held-out flights or a rotor of the trim, is no entry
+    assert not verdict.refused_changes(case, SimpleNamespace(**vars(found) | {"refused": {}}))
+    named = SimpleNamespace(**vars(case) | {"trim": commanded([1.0, 1.0, 1.0 / 0.7, 1.0])})
+    assert not verdict.refused_changes(named, found)
     assert bool(entries) is unexplained
     if unexplained:
         assert (entries[0]["channel"], entries[0]["where"], entries[0]["since"]) == ("Fz", "everywhere", "changed")

@@ -40,6 +40,7 @@ class Found:
 
     unjudged  those of the causes that the held-out flights do not excite; contradicted {cause: test, why}: those whose
     axes do not agree; stand_ins  the first cause of each tie; passed  why significant offers were passed over
+    refused  of the contradicted, those that axes or the trim refused in the search
     """
 
     causes: list[Cause]
@@ -55,6 +56,7 @@ class Found:
     contradicted: dict[str, tuple[Test, str]] = field(default_factory=dict)
     stand_ins: list[Cause] = field(default_factory=list)
     passed: dict[Candidate, str] = field(default_factory=dict)
+    refused: dict[str, tuple[Test, str]] = field(default_factory=dict)
 
 
 def examine(
@@ -120,7 +122,7 @@ def examine(
         kept, ties, immaterial, sought.ranking, sought.level, study.lacking | unbearable, study, scores,
         extended, unjudged, contradicted | vague,
         [c for c in stand_ins if any(_stands_for(c, *tie) for tie in ties)],
-        sought.passed,
+        sought.passed, sought.contradicted,
     )  # fmt: skip
 
 

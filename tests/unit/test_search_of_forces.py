@@ -1,0 +1,128 @@
+"""The search of forces: what the trim contradicts, and mass or thrust."""
+
+import dataclasses
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from test_unexplained import flight, ground  # noqa: F401
+from test_wrench_level import EFFECTS
+
+from quasi.gap.catalogue import catalogue, whole_of
+from quasi.gap.effect import vehicle_of
+from quasi.gap.levels.forces import search as sought
+from quasi.gap.levels.forces.axis_consistency import Voice
+from quasi.gap.selection import Named, Tie
+from quasi.gap.statistics import mixed as tests_on
+from quasi.gap.statistics.candidates import Candidate
+from quasi.model.model import Model
+
+
+def test_a_cause_that_the_trim_contradicts_is_left_out_and_the_others_are_sought_without_it(ground):  # noqa: F811
+    """Another mass that the rotors do not carry is none: what stands next to it is found as if it were not asked."""
+    model = Model(ground[1].document, "test")
+    vehicle = vehicle_of(model)
+
+    def made(k, has, size):
+        plain = flight(ground, k)
+        whole = whole_of(EFFECTS[has], plain, vehicle, size) if k >= 4 else 0.0
+        return dataclasses.replace(plain, measured=plain.measured + whole)
+
+    heavier = {"mass": 0.1 * vehicle.mass}
+    flights, compared = [made(k, "mass", heavier) for k in range(8)], np.arange(8) >= 4
+    within = {n: e.limits(vehicle) for n, e in EFFECTS.items()}
+    asked_of = []
+
+    def contradict(causes):
+        asked_of.append([cause for cause, _ in causes])
+        return {k: "the trim" for k, (cause, _) in enumerate(causes) if cause == "mass"}
+
+    sides = [sought.seek(flights, EFFECTS, vehicle, compared, 0.01, within, says) for says in (None, contradict)]
+    names = [[n.test.offer.cause for n in side.named if n.test.offer.since == "changed"] for side in sides]
+    assert names[0] == ["mass"] and "mass" not in names[1]
+    assert sides[1].contradicted["mass"][1] == "the trim" and not sides[0].contradicted
+    assert asked_of[0] == ["mass"] and "mass" not in asked_of[-1]
+    alike = {n: EFFECTS[n] for n in EFFECTS if n != "mass"}
+    without = sought.seek(flights, alike, vehicle, compared, 0.01, within)
+    assert [n.test.offer for n in sides[1].named] == [n.test.offer for n in without.named]
+    assert [[t.offer for t in tie.tests] for _, tie in sides[1].ties] == [
+        [t.offer for t in tie.tests] for _, tie in without.ties
+    ]
+
+
+@pytest.mark.parametrize(
+    ("std", "rival_p", "first", "ties"),
+    [
+        (0.2, 1e-5, "mass", False), (0.8, 1e-5, "mass", True), (0.8, 0.1, "mass", False),
+        (0.2, 1e-5, "thrust_factor", False), (0.8, 1e-5, "thrust_factor", True),
+    ],
+)  # fmt: skip
+def test_mass_and_thrust_are_a_tie_where_no_other_axis_than_the_vertical_decides(
+    monkeypatch, std, rival_p, first, ties
+):
+    """std  of each axis on which one of them acts alone: two of force, two of moment"""
+    asked_axes = []
+
+    def heard(study, compared, test, pooled, given, channels):
+        asked_axes.append(set(channels))
+        return [Voice(axis, 1.0, std) for axis in channels]
+
+    monkeypatch.setattr(sought, "voices", heard)
+
+    class Stated:
+        columns = SimpleNamespace(causes={"mass": [1], "thrust_factor": [2], "wind": [3]})
+
+        def pooled(self, since):
+            return []
+
+        def test(self, offer, given=(), pooled=()):
+            return tests_on.Test(offer, np.ones(1), np.eye(1), 1.0, 30.0, 1e-9 if offer.cause == first else rival_p)
+
+    mixed, other = Stated(), "thrust_factor" if first == "mass" else "mass"
+    one = mixed.test(Candidate(first, "changed", (0,)))
+    wind = mixed.test(Candidate("wind", "changed", (0,)))
+    args = (EFFECTS, mixed, None, np.ones(4, bool))
+    named, tied = sought._with_mass_or_thrust([Named(one, []), Named(wind, [])], [], *args)
+    assert [n.test.offer.cause for n in named] == (["wind"] if ties else [first, "wind"])
+    assert [[t.offer.cause for t in tie.tests] for _, tie in tied] == ([[first, other]] if ties else [])
+    assert {frozenset(a) for a in asked_axes} == {frozenset({"Fx", "Fy"}), frozenset({"Mx", "My"})}
+    # a tie that it stands first in is widened, one that holds both already is left alone
+    third = mixed.test(Candidate("wind", "changed", (0,)))
+    named, tied = sought._with_mass_or_thrust([], [("changed", Tie([one, third], 1.0))], *args)
+    names = [first, other, "wind"] if ties else [first, "wind"]
+    assert not named and [t.offer.cause for t in tied[0][1].tests] == names
+    both = [("changed", Tie([one, mixed.test(Candidate(other, "changed", (0,)))], 1.0))]
+    assert sought._with_mass_or_thrust([], both, *args) == ([], both)
+
+
+def test_a_rotor_that_the_trim_contradicts_by_itself_leaves_the_others_to_ask():
+    """What it contradicts only together with another cause helps the form of that one, if it was accepted later."""
+
+    def cause(name, which, since="changed"):
+        effect = catalogue()[name]
+        test = SimpleNamespace(offer=Candidate(name, since, which))
+        return SimpleNamespace(effect=effect, since=since, value={effect.fitted[n]: 0.1 for n in which}, test=test)
+
+    rotor, cg, wind = cause("rotor_effectiveness", (0, 3, 7)), cause("cg_offset", (0, 1, 2)), cause("wind", (0, 1))
+
+    def against_rotor_4(causes):
+        return {k: "why" for k, (_, value) in enumerate(causes) if "rotor4" in value}
+
+    order = [rotor.test.offer, cg.test.offer, wind.test.offer]
+    assert sought._against_trim([cg, rotor], against_rotor_4, order) == ({"rotor_effectiveness": frozenset({3})}, {})
+
+    def together(causes):
+        names = [name for name, _ in causes]
+        return {names.index("rotor_effectiveness"): "why"} if {"rotor_effectiveness", "cg_offset"} <= set(names) else {}
+
+    for accepted, last in ((order, cg), (order[::-1], rotor)):
+        found = sought._against_trim([cg, wind, rotor], together, accepted)
+        assert found == ({}, {last.effect.id: (last.test, "why")})
+
+    def against_cg(causes):
+        return {k: "why" for k, (name, _) in enumerate(causes) if name == "cg_offset"}
+
+    assert sought._against_trim([rotor, cg], against_cg, order) == ({}, {"cg_offset": (cg.test, "why")})
+    for says in (lambda causes: {}, None):
+        assert sought._against_trim([rotor, cg], says, order) == ({}, {})
+    assert sought._against_trim([cause("cg_offset", (0, 1, 2), "always")], against_cg, order) == ({}, {})
