@@ -231,8 +231,60 @@ def mujoco_cases() -> dict[str, Case]:
     }  # fmt: skip
 
 
+def pyflyt_cases() -> dict[str, Case]:
+    """One value of PyFlyt's drone each, and faults of sensors."""
+    from foreign_pyflyt import DRAG, INERTIA, MASS
+
+    shift = (0.0015, -0.001, 0.0)
+
+    def heavier(mass: float, inertia: float) -> dict[str, Any]:
+        def change(drone: Any) -> None:
+            moments = [inertia * value for value in INERTIA]
+            drone.p.changeDynamics(drone.Id, -1, mass=mass * MASS, localInertiaDiagonal=moments)
+
+        return {"change": change}
+
+    def multiplied(part: str, **factors: Any) -> dict[str, Any]:
+        def change(drone: Any) -> None:
+            for key, factor in factors.items():
+                held = getattr(drone, part)
+                setattr(held, key, (getattr(held, key).T * factor).T)
+
+        return {"change": change}
+
+    cases = {
+        "clean": Case(may_miss=True),
+        "mass x 1.08": Case(("mass",), value={"mass": 1.08 * MASS}, change=heavier(1.08, 1.0)),
+        "inertia x 1.2": Case(("inertia",), value=dict(zip(("Ixx", "Iyy", "Izz"), 1.2 * np.array(INERTIA))),
+                              change=heavier(1.0, 1.2)),
+        "rotor 3 x 0.93": Case(("rotor_effectiveness",), value={"rotor3": 0.93},
+                               change=multiplied("motors", thrust_coef=np.array([1.0, 1.0, 0.93, 1.0]))),
+        "thrust x 0.95": Case(("thrust_factor",), value={"factor": 0.95},
+                              change=multiplied("motors", thrust_coef=0.95)),
+        "torque x 1.2": Case(("torque_factor",), value={"factor": 1.2}, change=multiplied("motors", torque_coef=1.2)),
+        # the frame keeps its rotors, sensors and markers
+        "cg moved": Case(
+            ("cg_offset",), ("imu_lever_arm", "marker_offset"), {"x": shift[0], "y": -shift[1]}, {"shift": shift},
+            {"imu": (-shift[0], -shift[1], 0.0), "markers": (-shift[0], -shift[1], 0.03)},
+        ),
+        "body drag x 6": Case(("body_drag",), value={"c": 5 * DRAG}, change=multiplied("body", drag_consts=6.0)),
+        "wind 3 m/s": Case(("wind",), value={"north": 2.4, "east": -1.8}, change={"wind": (2.4, 1.8, 0.0)}),
+        "motor lag x 2": Case(("motor_lag",), change=multiplied("motors", tau=2.0)),
+        "rotor 2 x 0.92, its torque too": Case(
+            ("rotor_effectiveness",), value={"rotor2": 0.92, "torque2": 0.92},
+            change=multiplied("motors", **dict.fromkeys(("thrust_coef", "torque_coef"), np.array([1, 0.92, 1, 1]))),
+        ),
+        "thrust fades": Case(("thrust_drift",), value={"rate": -0.002}, change={"fading": 0.002}),
+        **unlisted_cases(0.1),
+        **sensor_cases(),
+    }  # fmt: skip
+    pairs = (("mass x 1.08", "wind 3 m/s"), ("rotor 3 x 0.93", "body drag x 6"), ("torque x 1.2", "rotor 3 x 0.93"))
+    return cases | {f"{a} and {b}": together(cases[a], cases[b]) for a, b in pairs}
+
+
 SIMULATORS = {
-    "rotorpy": rotorpy_cases, "mujoco": mujoco_cases, **{name: partial(other_cases, name) for name in VEHICLES},
+    "rotorpy": rotorpy_cases, "mujoco": mujoco_cases, "pyflyt": pyflyt_cases,
+    **{name: partial(other_cases, name) for name in VEHICLES},
     **{name: partial(drone_models_cases, name) for name in foreign_drone_models.VEHICLES},
 }  # fmt: skip
 
