@@ -23,6 +23,7 @@ GYRO_BIAS = np.radians(20.0)  # rad/s, initial zero-rate output of the MPU-6000 
 MIN_BIAS_SIGMAS = 3.0  # standard errors that a bias must also exceed: an uncertain bias contradicts nothing
 # rad. Rigid bodies are aligned by eye to some degrees; ours were off by 0.2 to 1.1 deg (nano-drone runs, null-1-told)
 MOUNTING_ANGLE = np.radians(10.0)
+AXES_ANGLE = np.radians(45.0)  # rad, half of what an exchange of axes turns the vertical by
 # rad, by which an allowed accelerometer bias tilts gravity at rest
 REST_ANGLE = np.arcsin(ACCELEROMETER_BIAS / 9.80665)
 # Innovations of five times their standard errors on average, after the noise levels were re-estimated. Sound flights
@@ -101,19 +102,25 @@ def check_directions(
     gains: Mapping[str, tuple[float, float]],
     vertical: tuple[float, float] | None,
     horizontal: tuple[float, float],
+    tilt: float | None,
     attitude: str,
     position: str,
 ) -> list[Contradiction]:
-    """Axes of accelerometer, attitude and captured position that are reversed or mirrored.
+    """Axes of accelerometer, attitude and a position that are reversed, mirrored or turned.
 
     gains, vertical  bounds of measured over needed specific force by axis, and of the vertical acceleration
     horizontal       correlation of horizontal accelerations as they are, and after the best turn or mirror
+    tilt             rad, of the vertical by the best turn in space, None where unknown
     """
     aligned, best = horizontal
     if vertical is not None and vertical[1] < 0.0:
         how, value = "it accelerates down where it should accelerate up", vertical[1]
     elif best > MIN_CORRELATION and aligned < 0.5 * best:
         how, value = "its horizontal axes are turned or mirrored, as by x and y exchanged or one reversed", aligned
+    elif tilt is not None and tilt > AXES_ANGLE:
+        how = f"its vertical is turned by {np.degrees(tilt):.0f} deg against gravity's, as by y-up taken for z-up"
+        text = _contradict("accelerometer", position, how, "check the axes of the position")
+        return [Contradiction(("accelerometer", position), "vertical", tilt, AXES_ANGLE, "rad", text)]
     else:
         wrong = [axis for axis, bounds in gains.items() if bounds[1] < 0.0]
         if not wrong:

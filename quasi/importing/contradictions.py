@@ -48,12 +48,17 @@ def length_ratio(onboard: Motion, t: np.ndarray, position: np.ndarray) -> float 
     return float(np.sqrt(np.mean((here - here.mean(axis=0)) ** 2) * 3)) / needed
 
 
-def _slow_acceleration(t: np.ndarray, position: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
-    """Times (k,), s, acceleration (k, 3), m/s2, of a captured position at low frequency, and where it is known (k,)."""
-    seen = uniform(t, position, COMPARED_RATE, COMPARED_BAND)
+def _slow_acceleration(
+    t: np.ndarray, values: np.ndarray, derivatives: int = 2
+) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
+    """Times (k,), s, acceleration (k, 3), m/s2, of a position (or of a velocity: `derivatives` 1) at low frequency, and
+    where it is known (k,)."""
+    seen = uniform(t, values, COMPARED_RATE, COMPARED_BAND)
     if seen is None:
         return None
-    acceleration = np.gradient(np.gradient(seen.values, seen.step, axis=0), seen.step, axis=0)
+    acceleration = seen.values
+    for _ in range(derivatives):
+        acceleration = np.gradient(acceleration, seen.step, axis=0)
     inner = slice(edge := int(COMPARED_RATE / COMPARED_BAND), -edge)  # the filter's own ends are no motion
     return seen.t[inner], acceleration[inner], seen.good[inner]
 
@@ -150,12 +155,15 @@ class ForceComparison(NamedTuple):
     vertical    bounds of the measured over the captured vertical acceleration, None where they do not correlate
     horizontal  correlation of the horizontal accelerations as they are (after the best turn where headings may differ),
                 and after the best turn or mirror
+    tilt        rad, of the vertical by the turn or mirror that brings the path's accelerations nearest to the measured
+                ones; None where these do not go together along two directions
     """
 
     residual: np.ndarray
     gains: dict[str, tuple[float, float]]
     vertical: tuple[float, float] | None
     horizontal: tuple[float, float]
+    tilt: float | None
 
 
 def compare_forces(
@@ -165,16 +173,18 @@ def compare_forces(
     t_attitude: np.ndarray,
     attitude: np.ndarray,
     free_heading: bool,
+    derivatives: int = 2,
 ) -> ForceComparison | None:
-    """What the accelerometer measures against what attitude and a captured position need.
+    """What the accelerometer measures against what attitude and a position, or velocity, need.
 
-    onboard  needs specific_force; t (n,) s with position (n, 3) m earth NED; t_attitude (m,) s with attitude (m, 4)
-    body to earth; all times on the on-board clock, NaN where missing; free_heading  whether the attitude's heading may
-    differ from the position's axes. None where they share less than two seconds.
+    onboard  needs specific_force; t (n,) s with position (n, 3) m earth NED, or with velocity in m/s and derivatives 1;
+    t_attitude (m,) s with attitude (m, 4) body to earth; all times on the on-board clock, NaN where missing;
+    free_heading  whether the attitude's heading may differ from the position's axes. None where they share less than
+    two seconds.
     """
     fine = np.isfinite(attitude).all(axis=1)
     felt = uniform(onboard.t, onboard.specific_force, COMPARED_RATE, COMPARED_BAND)
-    moved = _slow_acceleration(t, position)
+    moved = _slow_acceleration(t, position, derivatives)
     if felt is None or moved is None or np.count_nonzero(fine) < 8:
         return None
     gravity, q_t = np.array([0.0, 0.0, GRAVITY]), t_attitude[fine]
@@ -198,7 +208,23 @@ def compare_forces(
         {n: bounds for n, bounds in found.items() if bounds is not None},
         _slopes(sensed[:, 2], acceleration[:, 2], LEAST_MOTION),
         (turned if free_heading else float(np.vdot(other, one).real) / size, max(turned, mirrored)),
+        _tilt(sensed - sensed.mean(axis=0), acceleration - acceleration.mean(axis=0)),
     )
+
+
+def _tilt(one: np.ndarray, other: np.ndarray) -> float | None:
+    """As `ForceComparison.tilt`, of accelerations (n, 3) without their means.
+
+    Source: Kabsch, Acta Crystallographica A 32, 1976. Of a motion along two directions the third is theirs by the sign
+    of the determinant.
+    """
+    u, common, vt = np.linalg.svd(one.T @ other)
+    sizes = np.linalg.norm(one @ u, axis=0) * np.linalg.norm(other @ vt.T, axis=0)
+    if np.any(sizes[:2] < len(one) * LEAST_MOTION**2) or np.any(common[:2] <= LEAST_CORRELATION * sizes[:2]):
+        return None
+    if sizes[2] < len(one) * LEAST_MOTION**2 or common[2] <= LEAST_CORRELATION * sizes[2]:
+        vt[2] *= np.linalg.det(u) * np.linalg.det(vt)
+    return float(np.arccos(np.clip((u @ vt)[2, 2], -1.0, 1.0)))
 
 
 def _slopes(one: np.ndarray, other: np.ndarray, least: float) -> tuple[float, float] | None:

@@ -1,11 +1,12 @@
 """Sources of one flight against each other, once their clocks are tied: gyro, accelerometer, attitudes, position."""
 
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
 
 from quasi.attitude import interpolate
-from quasi.importing.clocks.synchronisation import Synchronisation
+from quasi.importing.clocks.synchronisation import Motion, Synchronisation
 from quasi.importing.contradictions import compare_forces, exchanged_axes, length_ratio, rate_gains
 from quasi.importing.onboard_log import POSITION_COLUMNS, QUATERNION, Onboard
 from quasi.importing.series import Series
@@ -19,6 +20,7 @@ from quasi.sensor_limits import (
 )
 
 CAPTURED, ONBOARD_ATTITUDE, CAPTURED_POSITION = "captured attitude", "on-board attitude", "captured position"
+ONBOARD_POSITION, ONBOARD_VELOCITY = "on-board position", "on-board velocity"
 
 
 def cross_check(board: Onboard, capture: Series | None, sync: Synchronisation | None) -> list[Contradiction]:
@@ -36,22 +38,42 @@ def cross_check(board: Onboard, capture: Series | None, sync: Synchronisation | 
     for name, (t, attitude) in attitudes.items():
         both = (board.gyro.t, board.gyro.values, t, attitude)
         found += check_axis_order(exchanged_axes(*both), name) or check_rate_gains(rate_gains(*both), name)
+    motion = board.motion()
     if capture is None:
+        paths = {ONBOARD_POSITION: board.position, ONBOARD_VELOCITY: board.velocity}
+        for path, track in paths.items():
+            if track is not None:
+                derivatives = 2 if path == ONBOARD_POSITION else 1
+                found += _check_path(motion, track.t, track.values, attitudes, path, derivatives)
         return found
-    motion, position = board.motion(), capture.matrix(POSITION_COLUMNS)
+    position = capture.matrix(POSITION_COLUMNS)
+    wrong = _check_path(motion, there, position, attitudes, CAPTURED_POSITION)
+    if wrong:  # it says nothing about lengths then
+        return found + wrong
+    for t, attitude in attitudes.values():
+        fine = np.isfinite(attitude).all(axis=1)
+        turned = replace(motion, quaternion=interpolate(attitude[fine], t[fine], motion.t))
+        found += check_length_ratio(length_ratio(turned, there, position), CAPTURED_POSITION)
+    return found
+
+
+def _check_path(
+    motion: Motion, t: np.ndarray, values: np.ndarray, attitudes: Mapping[str, tuple[np.ndarray, np.ndarray]],
+    path: str, derivatives: int = 2,
+) -> list[Contradiction]:  # fmt: skip
+    """Accelerometer against each attitude and a path: a position or velocity (n, 3), named by `path`."""
+    found = []
     if not attitudes:  # levelled by the accelerometer: only the vertical says something
-        forces = compare_forces(motion, there, position, board.attitude.t, board.attitude.values, True)
-        return found + check_residual(None if forces is None else forces.residual, None, CAPTURED_POSITION)
-    for name, (t, attitude) in attitudes.items():
-        forces = compare_forces(motion, there, position, t, attitude, name == ONBOARD_ATTITUDE)
-        if forces is None:
-            continue
-        wrong = check_residual(forces.residual, name, CAPTURED_POSITION) or check_directions(
-            forces.gains, forces.vertical, forces.horizontal, name, CAPTURED_POSITION
-        )
-        found += wrong
-        if not wrong:  # else it says nothing about lengths
-            fine = np.isfinite(attitude).all(axis=1)
-            turned = replace(motion, quaternion=interpolate(attitude[fine], t[fine], motion.t))
-            found += check_length_ratio(length_ratio(turned, there, position), CAPTURED_POSITION)
+        forces = compare_forces(motion, t, values, motion.t, motion.quaternion, True, derivatives)
+        if forces is not None:
+            alone = {}, forces.vertical, (1.0, 0.0), None, "", path
+            found = check_residual(forces.residual, None, path) or check_directions(*alone)
+    for name, (q_t, attitude) in attitudes.items():
+        # a capture's heading is aligned later; on board, attitude and path have to share their axes
+        free = name == ONBOARD_ATTITUDE and path == CAPTURED_POSITION
+        forces = compare_forces(motion, t, values, q_t, attitude, free, derivatives)
+        if forces is not None:
+            found += check_residual(forces.residual, name, path) or check_directions(
+                forces.gains, forces.vertical, forces.horizontal, forces.tilt, name, path
+            )
     return found

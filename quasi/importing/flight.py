@@ -20,6 +20,7 @@ from quasi.importing.contradictions import refuse_wrong_lengths, refuse_wrong_ra
 from quasi.importing.cross_checks import cross_check
 from quasi.importing.imu_and_telemetry import lever_arm_term, read_triple, remove_telemetry_age
 from quasi.importing.onboard_log import POSITION_COLUMNS, QUATERNION, Onboard, gather, motor_poles, read_onboard
+from quasi.importing.readers.captured_body import refuse_beyond_rooms
 from quasi.importing.readers.reader import Request
 from quasi.importing.readers.registry import read_capture
 from quasi.importing.resampling import covered, fresh, grid, resample, resample_attitude, velocity
@@ -177,8 +178,13 @@ def _read_capture(
     series = recording.series["capture"]
     values = {name: column.copy() for name, column in series.values.items()}
     q = series.matrix(QUATERNION)
+    seen = np.isfinite(series.matrix(POSITION_COLUMNS)).all(axis=1)
+    if seen.any():
+        refuse_beyond_rooms(
+            series.matrix(POSITION_COLUMNS)[seen], f"{flight['onboard']}: the captured position",
+            "the unit that 'table columns' states", "correct the unit there",
+        )  # fmt: skip
     if chosen["filter optitrack outliers"]:
-        seen = np.isfinite(series.matrix(POSITION_COLUMNS)).all(axis=1)
         turned = q[seen] if q is not None else None
         bad = np.flatnonzero(seen)[~flyable(series.t[seen], series.matrix(POSITION_COLUMNS)[seen], turned)]
         for column in values.values():

@@ -13,7 +13,7 @@ from rigid_body import quadrotor
 from quasi import sensor_limits as plausibility
 from quasi.airframe import read_airframe
 from quasi.attitude import from_euler, multiply
-from quasi.errors import DataError
+from quasi.errors import DataError, ReadError
 from quasi.filtering.flight import filter_flight
 from quasi.identification.shared import left_out_notes, unusable_flights
 from quasi.importing import flight as importing
@@ -50,6 +50,11 @@ PLANTS = {
     "gyro axes exchanged": (lambda s: changed(s, p=s.values["q"], q=s.values["p"]), "rates", {"gyro", "{attitude}"}),
     "position mirrored": (
         lambda s: changed(s, x=s.values["y"], y=s.values["x"]),
+        "capture",
+        {"accelerometer", "captured position"},
+    ),
+    "y up taken for z up": (
+        lambda s: changed(s, y=s.values["z"], z=-s.values["y"]),
         "capture",
         {"accelerometer", "captured position"},
     ),
@@ -121,6 +126,58 @@ def test_what_is_planted_in_a_made_flight_is_named(table, monkeypatch, plant):
     check(plant, about, result.metadata, "captured attitude")
     if plant == "late capture":
         assert about["synchronisation"]["lag"]["value"] == pytest.approx(-0.06, abs=2e-3)
+
+
+VELOCITY, ROTORS = ("vx", "vy", "vz"), ("w1", "w2", "w3", "w4")
+# of flights whose attitude, position and velocity were logged on board
+ONBOARD_PLANTS = {
+    "height reversed": (lambda v: v | {"z": -v["z"]}, "on-board position"),
+    "position mirrored": (lambda v: v | {"x": v["y"], "y": v["x"]}, "on-board position"),
+    "position turned by half": (lambda v: v | {"x": -v["x"], "y": -v["y"]}, "on-board position"),
+    "y up taken for z up": (lambda v: v | {"y": v["z"], "z": -v["y"]}, "on-board position"),
+    "velocity mirrored": (lambda v: v | {"vx": v["vy"], "vy": v["vx"]}, "on-board velocity"),
+    "vertical velocity reversed": (lambda v: v | {"vz": -v["vz"]}, "on-board velocity"),
+    "nothing": (lambda v: v, None),
+}
+
+
+@pytest.fixture(scope="module")
+def logged():
+    """Columns of a made flight whose attitude, position and velocity were logged on board."""
+    truth = body(30.0, rate=100.0, seed=5)
+    rng = np.random.default_rng(0)
+    columns = {"t": truth.t} | dict(zip(GYRO, (truth.rates + rng.normal(0, 0.01, truth.rates.shape)).T))
+    columns |= dict(zip(FORCE, (truth.force + rng.normal(0, 0.1, truth.force.shape)).T))
+    columns |= dict(zip(Q, truth.quaternion.T)) | dict(zip(PLACE, truth.position.T))
+    columns |= {f"w{i}": 800.0 + 20.0 * np.sin(3.0 * truth.t + i) for i in range(1, 5)}
+    return columns | dict(zip(VELOCITY, np.gradient(truth.position, truth.t, axis=0).T))
+
+
+@pytest.mark.parametrize("plant", ONBOARD_PLANTS)
+def test_a_position_or_velocity_logged_on_board_is_held_against_the_accelerometer(logged, tmp_path, plant):
+    change, path = ONBOARD_PLANTS[plant]
+    pd.DataFrame(change(logged)).to_csv(tmp_path / "log.csv", index=False)
+    source = {"name": "log", "columns": {n: n for n in (*GYRO, *FORCE, *Q, *PLACE, *VELOCITY, *ROTORS)}}
+    config = {"table columns": {"time": "t", "sources": [source]}}
+    asked = {"flight": "made", "quadrotor": "made", "flight controller": "table", "capture": None}
+    asked |= {"onboard": str(tmp_path / "log.csv")}
+    _, about = importing.import_flight(asked, config, {"resampling rate": 100.0, "use onboard attitude": True})
+    between = [set(c["between"]) for c in about["contradictions"]]
+    if plant == "nothing":
+        assert not between and about["verdict"] != "unusable"
+    else:
+        assert about["verdict"] == "unusable"
+        assert between == [{"accelerometer", path}]
+
+
+def test_a_capture_in_the_log_that_leaves_any_room_states_its_unit(table, tmp_path):
+    path, config = table
+    frame = pd.read_csv(path)
+    frame[list(PLACE)] *= 1000.0
+    frame.to_csv(tmp_path / "log.csv", index=False)
+    asked = {"flight": "made", "quadrotor": "made", "flight controller": "table", "capture": None}
+    with pytest.raises(ReadError, match=r"log\.csv: the captured position moves through \d+ m if .*'table columns'"):
+        importing.import_flight(asked | {"onboard": str(tmp_path / "log.csv")}, config, {"resampling rate": 100.0})
 
 
 @pytest.mark.skipif(not NANODRONE.is_dir(), reason=f"the nano-drone recordings are not at {NANODRONE}")

@@ -72,6 +72,18 @@ class Body:
     facts: dict[str, Any] = field(default_factory=dict)
 
 
+def refuse_beyond_rooms(position: np.ndarray, what: str, unit: str, remedy: str) -> None:
+    """Raise ReadError where a captured position (n, 3), m, finite, moves farther than any room is wide.
+
+    what  moves; unit  that is stated; remedy  for the message
+    """
+    low, high = np.quantile(position, [0.02, 0.98], axis=0)
+    if np.max(high - low) > LARGEST_ROOM:
+        raise ReadError(
+            f"{what} moves through {np.max(high - low):.0f} m if lengths are in {unit}, more than any room; {remedy}"
+        )
+
+
 def captured_recording(
     path: Path, body: Body, marker_offset: np.ndarray | None, remove_outliers: bool, notes: list[str]
 ) -> Recording:
@@ -95,12 +107,12 @@ def captured_recording(
             f"{path} never saw rigid body '{body.name}' ({len(t)} frames, all empty); check its name and export"
         )
 
-    low, high = np.quantile(position[seen], [0.02, 0.98], axis=0)
-    if np.max(high - low) > LARGEST_ROOM:
-        raise ReadError(
-            f"{path}: '{body.name}' moves through {np.max(high - low):.0f} m if lengths are in {unit} as the header "
-            "says, more than any room; correct 'Length Units', or export it anew"
-        )
+    refuse_beyond_rooms(
+        position[seen],
+        f"{path}: '{body.name}'",
+        f"{unit} as the header says",
+        "correct 'Length Units', or export it anew",
+    )
     lost = int(np.count_nonzero(~seen))
     held = stalled(t, body.written, position, quaternion)
     seen &= ~held
