@@ -12,7 +12,8 @@ def main(asked: dict, version: str, target: str) -> None:
     inspector = Inspector(INSPECTION_MEMORY, version)
     flights = show_progress(asked["flights"].items(), "reading raw files")
     found = {key: inspector.inspect(about["settings"]) for key, about in flights}
-    refused = list(dict.fromkeys(refusals(asked, found) + repeated_recordings(asked)))
+    trained = {key: inspector.inspect(settings) for key, settings in asked.get("trained flights", {}).items()}
+    refused = list(dict.fromkeys(refusals(asked, trained | found) + repeated_recordings(asked)))
     for sentence in refused[:-1]:
         LOG.error("%s", sentence)
         print_at_end(sentence, "errors")

@@ -26,8 +26,10 @@ from quasi.importing.onboard_log import (
 from quasi.importing.readers.reader import Request
 from quasi.importing.readers.registry import read_capture
 from quasi.importing.reconstruction import Completed
+from quasi.importing.same_samples import find_same_flights, sketch
 from quasi.importing.series import Recording, Series
 from quasi.importing.wind import read_lvm
+from quasi.project.gaps import HELD
 from quasi.running.checksums import read_identity
 from quasi.sensor_limits import find_silent_rotors
 from quasi.tables import read_json, write_json
@@ -105,6 +107,7 @@ def _read_onboard(flight: Mapping[str, Any], quadrotor: Mapping[str, Any]) -> Re
         "firmware": (about.get("firmware") or {}).get("revision", ""),
         "log": about.get("log"),
         "logs": len(about["logs"]) if about.get("logs") else None,
+        "samples": sketch(gyro.values),
         **_sampling(gyro.t),
     }
     return facts, list(recording.series.values()), notes
@@ -206,13 +209,14 @@ def refusals(asked: Mapping[str, Any], inspected: Mapping[str, Mapping[str, Any]
 
     asked      "name" for messages, "identifies" (whether forces and moments are identified or compared), "flights"
                {"quadrotor/flight": {"role", "problem"}}
-    inspected  {"quadrotor/flight": result of inspect_flight}
+    inspected  {"quadrotor/flight": result of inspect_flight}; of a gap also of asked["trained flights"], where known
     """
     flights = asked["flights"]
     sentences = [p for key in flights if (p := inspected[key]["problem"] or flights[key]["problem"])]
     if not asked["identifies"]:
         return list(dict.fromkeys(sentences))
     sound = [key for key in flights if not inspected[key]["problem"]]
+    sentences += _same_flights(asked, inspected)
     if silent := [key for key in sound if not {"rotor speeds", "commands"} & set(inspected[key]["holds"])]:
         several = len(silent) > 1
         because = dict.fromkeys(r for key in silent for r in inspected[key]["remarks"] if r == ALL_STOPPED)
@@ -234,6 +238,22 @@ def refusals(asked: Mapping[str, Any], inspected: Mapping[str, Mapping[str, Any]
             "forces are not known well enough; add a motion capture ('Has OT data'), or flights whose log holds either"
         )
     return list(dict.fromkeys(sentences))
+
+
+def _same_flights(asked: Mapping[str, Any], inspected: Mapping[str, Mapping[str, Any]]) -> list[str]:
+    """Sentences on logs of one flight in files that differ: in two rows, or held out and in training of the model."""
+    sketches = {key: about["onboard"]["samples"] for key, about in inspected.items() if about["onboard"]}
+    own = [key for key in asked["flights"] if key in sketches]
+    held = [key for key in own if asked["flights"][key]["role"] == HELD]
+    trained = [key for key in asked.get("trained flights", ()) if key in sketches and key not in asked["flights"]]
+    found = []
+    for one, other in find_same_flights({key: sketches[key] for key in (*own, *(trained if held else ()))}):
+        alike = f"{asked['name']}: the logs of {_listed([one])} and {_listed([other])} hold the same flight"
+        if one in own and other in own:
+            found.append(f"{alike}, although the files differ; each flight counts once and has one role: leave one out")
+        elif one in held and other in trained:
+            found.append(f"{alike}; the first is held out, and the second trained the model: hold out another flight")
+    return found
 
 
 def _listed(keys: Iterable[str]) -> str:

@@ -15,6 +15,7 @@ from quasi.project.configurations import Configurations
 from quasi.project.flights import GAP_KEYS, Recordings
 from quasi.project.folder import Places, is_file
 from quasi.project.gaps import HELD, Gaps
+from quasi.project.logbook import Row
 from quasi.project.logbooks import Logbooks
 from quasi.project.model_jobs import ModelJobs, name_row
 
@@ -118,7 +119,8 @@ class Folder:
         """What is asked of the raw files of a model ("models"), a gap ("gaps"), or of all flights ("processing").
 
         Returns "name" for messages, "identifies", "flights" {"quadrotor/flight": {"role", "problem" of what the filter
-        needs, "settings" of the import}}, and of a gap the recordings that must differ: held, trained, recordings.
+        needs, "settings" of the import}}, and of a gap the recordings that must differ: held, trained, recordings; and
+        "trained flights", {"quadrotor/flight": "settings"} of those that trained its model.
         """
         if kind == "gaps":
             rows, roles = self.gaps.rows(name), self.gaps.roles(name)
@@ -129,20 +131,27 @@ class Folder:
             )
         else:
             rows, roles = self.logbooks.processing_flights(), {}
-        flights = {}
-        for row in rows:
-            settings = self.recordings.importing(row.quadrotor, row.key)
-            flights[f"{row.quadrotor}/{row.key}"] = {
+        flights = {
+            f"{row.quadrotor}/{row.key}": {
                 "role": roles.get(row.key, "validation"),
                 "problem": self.recordings.filtering(row.quadrotor, row.key)["problem"],
-                "settings": {k: settings[k] for k in ("flight", "quadrotor", "problem")},
+                "settings": self._reading(row),
             }
+            for row in rows
+        }
         asked = {"models": f"model {name}", "gaps": f"gap {name}"}.get(kind, "processing")
         found = {"name": asked, "identifies": kind != "processing", "flights": flights}
         if kind == "gaps":
             settings = self.gap(name)
             found |= {k: settings[k] for k in ("held", "trained", "recordings")}
+            trained = [r for r in self.gaps.trained(name) if not r.problem]
+            found["trained flights"] = {f"{r.quadrotor}/{r.key}": self._reading(r) for r in trained}
         return found
+
+    def _reading(self, row: Row) -> dict[str, Any]:
+        """Settings of the import of a row's raw files, as far as reading them needs these."""
+        settings = self.recordings.importing(row.quadrotor, row.key)
+        return {k: settings[k] for k in ("flight", "quadrotor", "problem")}
 
     def configured_work(self) -> tuple[dict[str, dict[str, Any]], dict[str, str], list[str]]:
         """{"processing", "model m", ...: its inspection} of what is configured, {name: fault} of the others, and the

@@ -22,7 +22,7 @@ def optional(*names):
 
 def log(path, *names, **values):
     """A table of 10 s at 100 Hz with these columns."""
-    generator, n = np.random.default_rng(len(names)), 1000
+    generator, n = np.random.default_rng([len(names), *path.stem.encode()]), 1000
     table = {"t": np.arange(n) / 100.0} | {name: generator.standard_normal(n) for name in (*IMU, *PLACE)}
     table |= {w: 900.0 + 10.0 * generator.standard_normal(n) for w in ROTORS} | {"battery": np.full(n, 15.5)}
     table = {name: table[name] for name in ("t", *names)} | {k: np.full(n, v) for k, v in values.items()}
