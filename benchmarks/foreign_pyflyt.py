@@ -130,16 +130,15 @@ def fly(
 def as_motion(rows: np.ndarray, h: float) -> Motion:
     """The flight of rows (n + 1, 21) at steps of h s.
 
-    Bullet holds forces over a step and moves with the velocity after it: a step's change of velocity over its length
-    is the acceleration in its middle. Of row k, it is the mean of both steps next to it.
+    Bullet changes the velocity first, by forces at the row's attitude and the speeds of rotors after their step, and
+    moves with the velocity after that: a row's velocity and rates are those of half a step before its path.
     """
     from scipy.spatial.transform import Rotation
 
-    turns = Rotation.from_quat(rows[:, 3:7])
-    slope = np.gradient(rows[:, 7:13], h, axis=0)
-    force = turns.inv().apply(slope[:, :3] + [0.0, 0.0, GRAVITY])
-    n = len(rows) - 1
+    turns = Rotation.from_quat(rows[:-1, 3:7])
+    slope = np.diff(rows[:, 7:13], axis=0) / h
     return Motion(
-        h * np.arange(n), rows[:n, :3], rows[:n, 3:7], rows[:n, 10:13], slope[:n, 3:], force[:n],
-        rows[:n, 13:17] * np.pi / 30, rows[:n, 17:21],
+        h * np.arange(len(rows) - 1), rows[:-1, :3], rows[:-1, 3:7], 0.5 * (rows[:-1, 10:13] + rows[1:, 10:13]),
+        slope[:, 3:], turns.inv().apply(slope[:, :3] + [0.0, 0.0, GRAVITY]), rows[1:, 13:17] * np.pi / 30,
+        rows[:-1, 17:21],
     )  # fmt: skip

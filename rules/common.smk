@@ -20,6 +20,7 @@ from quasi.running.provenance import compute_code_digest, save_parsed
 from quasi.project.folder import check_project, check_writable, read_settings
 from quasi.running.checksums import Checksums, read_once
 from quasi.running.failed_jobs import mark_incomplete
+from quasi.running.folder_contents import remember_contents
 from quasi.running.ready_jobs import keep_one_timer, weigh_few
 from quasi.running.live_runs import (
     explain_lock,
@@ -41,7 +42,7 @@ from quasi.project.workflow import Folder
 # parts of Snakemake that are no interface: where a later one has moved them, each job starts Python anew, files are
 # read several times, what failed jobs leave may count as finished, and Snakemake's own handler answers SIGTERM
 try:
-    from snakemake.io import _IOFile
+    from snakemake.io import _IOFile, is_flagged
     from snakemake.jobs import Job
     from snakemake.scheduling.job_scheduler import JobScheduler
     from snakemake.script import PythonScript
@@ -169,6 +170,7 @@ if (
 if _IOFile is not None:
     read_once(_IOFile)
     mark_incomplete(Job)
+    remember_contents(Job, is_flagged, lambda notice: announce(notice))
 
 # what the command line gives (--config) comes before the folder's own file
 for key, value in ask(read_settings, "config/config.yaml").items():

@@ -22,6 +22,7 @@ SILENT_MESSAGES = (
     "Building DAG",
     "Conda environments",
     "Singularity",
+    "Warning: the following output files of rule",  # of a folder that lacks a file: a notice names it
 )
 SILENT_EVENTS = {"job_info", "job_started", "progress", "resources_info"}
 FLIGHT_RULES = ("importing", "filtering")

@@ -55,6 +55,19 @@ def test_second_run_does_nothing_and_says_where_the_result_begins(finished):
     assert text.rstrip().endswith("Up to date; start with models/small/standalone/report.html")
 
 
+def test_files_removed_from_the_folder_of_a_result_are_made_anew_and_nothing_else(project):
+    folder = project.folder / "models/small/standalone"
+    held = {path: path.read_bytes() for path in (folder / "report.html", folder / "figures/coverage.png")}
+    for path in held:
+        path.unlink()
+    assert project.would_run() == {"standalone": 1}
+    code, text = project.snakemake("models/small/standalone")
+    assert code == 0 and "1 job: standalone 1" in text
+    assert "models/small/standalone lacks 2 files, such as figures/coverage.png, that it was made with" in text
+    assert "were not present when the DAG was created" not in text
+    assert {path: path.read_bytes() for path in held} == held
+
+
 def test_a_clock_that_jumped_between_jobs_and_a_moved_folder_compute_nothing_anew(project):
     # `project` is a copy under another path; each result gets a time of its own within two hours before or after
     rng = np.random.default_rng(1)
