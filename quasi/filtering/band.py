@@ -113,12 +113,12 @@ def choose(
 
 
 def _cutoff(wanted: float, logged: float, rate: float, notes: list[str]) -> float:
-    if wanted > forces.HIGHEST_CUTOFF * rate:
+    highest = forces.HIGHEST_CUTOFF * rate
+    if f"{wanted:g}" != f"{min(wanted, highest):g}":  # else they differ by the grid's rounding
         notes.append(
-            f"the low-pass cut-off of {wanted:g} Hz is too high for a grid of {rate:g} Hz; "
-            f"{forces.HIGHEST_CUTOFF * rate:g} Hz is used"
+            f"the low-pass cut-off of {wanted:g} Hz is too high for a grid of {rate:g} Hz; {highest:g} Hz is used"
         )
-        wanted = forces.HIGHEST_CUTOFF * rate
+    wanted = min(wanted, highest)
     if wanted > 0.5 * logged:
         add_caution(
             notes,

@@ -135,6 +135,8 @@ def _mcap(series: Mapping[str, Series], log: Path) -> bytes:
     writer.start(profile="", library="quasi")
     first = min(float(one.t[0]) for one in series.values() if len(one.t))
     for name, one in series.items():
+        if not one.values:  # stamps alone: a message would say nothing
+            continue
         fields = {n: {"type": "number", "description": " ".join(filter(None, unit_of(n)[:2]))} for n in one.values}
         schema = writer.register_schema(
             name=f"quasi.{name}".replace(" ", "_"),

@@ -86,10 +86,14 @@ def remove_telemetry_age(board: Onboard, where: str, notes: list[str]) -> tuple[
         "applied": sharp,
     }
     if not sharp:
-        notes.append(
-            f"{where}: the age of the rotor telemetry is not known from this flight ({1e3 * age.value:.1f} +- "
-            f"{1e3 * about['age']['std']:.1f} ms); taken as 0. Quick yaw inputs would show it"
-        )
+        found = f"({1e3 * age.value:.1f} +- {1e3 * about['age']['std']:.1f} ms); taken as 0"
+        if age.std < SHARP_AGE and age.explained > YAW_EXPLAINED:
+            notes.append(f"{where}: the rotor telemetry seems to be ahead of the gyro {found}, check their time stamps")
+        else:
+            notes.append(
+                f"{where}: the age of the rotor telemetry is not known from this flight {found}. Quick yaw inputs "
+                "would show it"
+            )
         return board, about
 
     def earlier(track: Track) -> Track:

@@ -24,6 +24,11 @@ ARTIFACT_KINDS = {
     "gaps": ("results/gaps/*/diagnosis.json", "results/gaps/{0}/report.html"),
 }
 
+# words of verdicts, as the page begins
+WORST_FIRST = (
+    "unusable", "unexplained", "not judged", "partly explained", "usable with care", "explained", "agrees", "good",
+)  # fmt: skip
+
 
 def list_sources(root: str | Path) -> list[str]:
     """List absolute paths of the source files of the index; no rule of the workflow makes absolute paths."""
@@ -63,28 +68,24 @@ def render_index(found: Mapping[str, Sequence[Mapping[str, Any]]], folder: str) 
     """Render the index page as HTML. found  of `collect_artifacts`; folder  the name of the project folder"""
     flights, models = list(found.get("flights", ())), list(found.get("models", ()))
     gaps, simulations = list(found.get("gaps", ())), list(found.get("simulations", ()))
-    counts = Counter(_read_verdict(entry) for entry in flights)
-    parts = [
-        _format_count(len(flights), "flight")
-        + (f" ({', '.join(f'{n} {w}' for w, n in counts.items())})" if counts else "")
-    ]
-    parts += [
-        _format_count(len(models), "model"),
-        _format_count(len(simulations), "simulation"),
-        _format_count(len(gaps), "gap"),
-    ]
+    kinds = (("flight", flights), ("model", models), ("simulation", simulations), ("gap", gaps))
+    parts = [_format_kind(noun, entries) for noun, entries in kinds if entries]
     faulty = [e for entries in found.values() for e in entries if "fault" in e]
     sections = [
-        _render_tiles([*flights, *models, *gaps]),
+        _render_tiles(
+            [(e, str(e["name"])) for e in flights]
+            + [(e, f"{noun} {e['name']}") for noun, kind in (kinds[1], kinds[3]) for e in kind]
+        ),
         frame.render_section("Models", _render_models(models)),
         frame.render_section("Gaps", _render_rows(gaps, _read_gap_sentence)),
         frame.render_section("Flights", _render_rows(flights, lambda data: str(data.get("because", "")))),
         frame.render_section("Simulations", _render_rows(simulations, _describe_simulation)),
         frame.render_section("Could not be read", frame.render_list(f"{e['file']}: {e['fault']}" for e in faulty)),
     ]
-    worst = next((w for w in ("unusable", "unexplained", "usable with care") if any(map(w.__eq__, counts))), "good")
-    return frame.render_page(f"Project {folder}", "results in the folder", worst if flights else "nothing judged",
-                      ", ".join(parts), sections)  # fmt: skip
+    # of the flights, or where none was asked for a page, of what was made of them
+    counts = Counter(map(_read_verdict, flights or [*models, *gaps]))
+    worst = next((w for w in WORST_FIRST if counts[w]), "nothing judged")
+    return frame.render_page(f"Project {folder}", "results in the folder", worst, ", ".join(parts), sections)
 
 
 def write_index(root: str | Path, target: str | Path) -> None:
@@ -92,8 +93,11 @@ def write_index(root: str | Path, target: str | Path) -> None:
     write_text(target, render_index(collect_artifacts(root), Path(root).absolute().name))
 
 
-def _format_count(number: int, noun: str) -> str:
-    return f"{number} {noun}" + ("" if number == 1 else "s")
+def _format_kind(noun: str, entries: Sequence[Mapping[str, Any]]) -> str:
+    """Count entries, flights by their verdicts as well."""
+    counts = Counter(map(_read_verdict, entries)) if noun == "flight" else {}
+    by_verdict = f" ({', '.join(f'{n} {w}' for w, n in counts.items())})" if counts else ""
+    return f"{len(entries)} {noun}" + ("" if len(entries) == 1 else "s") + by_verdict
 
 
 def _read_verdict(entry: Mapping[str, Any]) -> str:
@@ -112,12 +116,12 @@ def _choose_colour(word: str) -> str:
     return VERDICT_COLOURS[frame.VERDICT_CLASSES.get(word, "")]
 
 
-def _render_tiles(entries: Sequence[Mapping[str, Any]]) -> str:
-    """Render one tile per flight, model and gap, in the colour of its verdict."""
+def _render_tiles(entries: Sequence[tuple[Mapping[str, Any], str]]) -> str:
+    """Render one tile per flight, model and gap, each with its text, in the colour of its verdict."""
     tiles = "".join(
         f'<span style="display:inline-block;border-left:6px solid {_choose_colour(_read_verdict(e))};'
-        f'background:#f6f8f9;margin:3px 6px 3px 0;padding:3px 10px">{_render_link(e, str(e["name"]))}</span>'
-        for e in entries
+        f'background:#f6f8f9;margin:3px 6px 3px 0;padding:3px 10px">{_render_link(e, text)}</span>'
+        for e, text in entries
     )
     key = " · ".join(
         f'<span style="color:{VERDICT_COLOURS[k]}">{w}</span>'

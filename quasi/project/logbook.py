@@ -50,10 +50,10 @@ def _plain(column: str) -> str:
     return re.sub(r"[\W_]+", "", column).lower()
 
 
-# columns are known however their letters, spaces and signs are written, the mass also with its unit
-LOGBOOK_COLUMNS = {_plain(c): c for c in (*NEEDED, *OPTIONAL)} | dict.fromkeys(
-    ("massg", "massgram", "massgrams"), "Mass"
-)
+# columns are known however their letters, spaces and signs are written, with and without a unit
+LOGBOOK_COLUMNS = {_plain(form): c for c in (*NEEDED, *OPTIONAL) for form in (c, c.partition(" (")[0])}
+LOGBOOK_COLUMNS |= dict.fromkeys(("massg", "massgram", "massgrams"), "Mass")
+YES, NO = ("y", "yes", "true", "1", "x"), ("", "n", "no", "false", "0", "-", "none", "nan")
 
 
 @dataclass(frozen=True)
@@ -73,7 +73,7 @@ class Row:
 
     def has(self, column: str) -> bool:
         """The cell says yes."""
-        return self.cells.get(column, "").strip().lower() in ("y", "yes", "true", "1")
+        return self.cells.get(column, "").strip().lower() in YES
 
     def number_in(self, column: str) -> float | None:
         """The cell as a number; None when empty. Raises LogbookError when it is text."""
@@ -156,7 +156,7 @@ def read_logbook(path: str | Path) -> dict[int, Row]:
 def _refuse_near_columns(header: list[str], path: str) -> None:
     """Raises LogbookError for a column whose content would be lost by a slip of spelling."""
     known = {*NEEDED, *OPTIONAL}
-    absent = {_plain(c): c for c in OPTIONAL if c not in header}
+    absent = {plain: c for plain, c in LOGBOOK_COLUMNS.items() if c not in header}
     for column in header:
         if column in known or not column:
             continue
@@ -207,6 +207,9 @@ def _row(path: str, number: int, cells: dict[str, str]) -> Row:
             f"{path} row {number}: 'Flight controller' is {quoted(cells['Flight controller'])}"
             f"{nearest(controller, CONTROLLERS)}; correct the cell"
         )
+    for column in ("Has OT data", "Has OJF data"):
+        if cells.get(column, "").lower() not in (*YES, *NO):
+            problem = f"{path} row {number}: '{column}' is {quoted(cells[column])}, expected Y or N; correct the cell"
     for column, text in cells.items():
         if len(text) > MAX_CELL_CHARACTERS:
             problem = (

@@ -1,12 +1,14 @@
 """Folders that a job made: what they held is remembered, so that a file removed from one makes it anew."""
 
 import hashlib
-import json
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from functools import wraps
 from pathlib import Path
 from typing import Any
+
+from quasi.errors import QuasiError
+from quasi.tables import read_json, write_json
 
 MEMORY = ".snakemake/quasi/folders"  # in the project folder; it may vanish at any time
 
@@ -47,17 +49,14 @@ def remember_contents(jobs: type, is_flagged: Callable[[Any, str], bool], announ
 
 def remember(folder: Path) -> None:
     """Keep the names of all files in a folder."""
-    place = _place(folder)
-    place.parent.mkdir(parents=True, exist_ok=True)
-    part = place.with_suffix(".part")
-    part.write_text(json.dumps(sorted(_list_files(folder))))
-    part.replace(place)
+    write_json(_place(folder), sorted(_list_files(folder)))
 
 
 def find_removed(folder: Path) -> list[str]:
     """Names of files that a folder was made with and lacks; [] where that is not known."""
-    with suppress(OSError, ValueError):
-        return sorted(set(json.loads(_place(folder).read_text())) - set(_list_files(folder)))
+    with suppress(OSError, QuasiError, TypeError):
+        if _place(folder).is_file():
+            return sorted(set(read_json(_place(folder))) - set(_list_files(folder)))
     return []
 
 

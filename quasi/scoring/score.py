@@ -11,6 +11,9 @@ from quasi.model.model import Model
 
 POOLED = "all"
 FULL_ROLE = "full"  # role of all rows together, training, test and validation
+# N and N m, rms about the mean, below which an axis was not measured: 10 ug and 1e-6 rad/s2 of a vehicle of 1 g, which
+# no inertial sensor resolves
+LEAST_MEASURED = {"F": 1e-7, "M": 1e-13}
 SCORE_UNITS = {
     "flight": ("", "", "flight key, or all"),
     "role": ("", "", "training, test or validation; full: all of them together"),
@@ -130,7 +133,7 @@ def _score_rows(flight: str, role: str, axis: str, table: np.ndarray, model: Mod
         "n": len(table),
         "rmse": square**0.5,
         "relative_rmse": (square / power) ** 0.5 if power > 0 else np.nan,
-        "r2": 1.0 - square / variance if variance > 0 else np.nan,
+        "r2": 1.0 - square / variance if variance > LEAST_MEASURED[axis[0]] ** 2 else np.nan,
         "bias": float(np.mean(error)),
         "coverage": float(np.mean((measured >= lower) & (measured <= upper))) if bounded else np.nan,
         "confidence": confidence,

@@ -33,6 +33,8 @@ def derive_verdict(axis: str, facts: Mapping[str, Any], extended: bool = False) 
            "interval", "outside", "unit", as the diagnostics hold them; of an extended model "base", {"id", "rmse",
            "r2"} of the model that it extends, on the same validation rows
     """
+    if facts["rmse"].get("training") is not None and facts["r2"].get("training") is None:
+        return _describe_unmeasured(axis)
     because: list[str] = []
     remedies: list[str] = []
     level, found = 0, []
@@ -89,6 +91,20 @@ def derive_verdict(axis: str, facts: Mapping[str, Any], extended: bool = False) 
         "what to do": list(dict.fromkeys(remedies)),
         "against its base": against_base[0] if against_base else None,
         "statement": _describe_axis(axis, word, bool(overfits), because, facts, holdout),
+    }
+
+
+def _describe_unmeasured(axis: str) -> dict[str, Any]:
+    """As `derive_verdict`, of an axis that stays the same but for rounding (`score.LEAST_MEASURED`)."""
+    because = [f"{axis} is constant in the training flights, so no source measured it, and it cannot be judged"]
+    return {
+        "verdict": VERDICTS[1],
+        "overfits": False,
+        "kind": "care",
+        "because": because,
+        "what to do": [f"log what {axis} follows from (docs/your-own-data.md, section 4)"],
+        "against its base": None,
+        "statement": f"{axis}: {VERDICTS[1]}: {because[0]}",
     }
 
 
