@@ -51,7 +51,7 @@ def vehicle() -> Vehicle:
 
 
 def copied(folder: Path, shift: tuple[float, float, float]) -> None:
-    """PyFlyt's vehicle with its rotors where they are seen from a cg that has moved by `shift`, m."""
+    """PyFlyt's vehicle with rotors and hull where they are seen from a cg that has moved by `shift`, m."""
     import PyFlyt.core
 
     source = Path(PyFlyt.core.__file__).parents[1] / "models/vehicles" / MODEL
@@ -61,7 +61,7 @@ def copied(folder: Path, shift: tuple[float, float, float]) -> None:
     for link in tree.iter("link"):
         for visual in link.findall("visual"):
             link.remove(visual)
-        if link.get("name", "").startswith("prop"):
+        if link.get("name") != "base_link":  # rotors, and the hull at whose place drag acts
             origin = link.find("inertial/origin")
             place = np.array([float(v) for v in origin.get("xyz").split()]) - shift
             origin.set("xyz", " ".join(map(repr, place.tolist())))

@@ -16,6 +16,10 @@ from quasi.errors import ConfigError
 
 ROTOR_POSITIONS = {"front left": (1, -1), "front right": (1, 1), "aft right": (-1, 1), "aft left": (-1, -1)}
 DEFAULT_POLES = 14  # magnets of the common 12N14P motor; Betaflight's own default for motor_poles
+# radii of gyration over the reach of the rotors: 0.11 to 0.54 by the configurations of data/ and examples/; grams taken
+# for kilograms divide them by 30
+LEAST_GYRATION = 0.05
+FARTHEST = 10.0  # times that reach, of markers or IMU from the cg: no mast is longer; mm taken for m are far beyond
 
 
 @dataclass(frozen=True)
@@ -167,7 +171,7 @@ def read_airframe(config: Mapping[str, Any], where: str, mass: float | None = No
         axis: {k: number(v, k, f"{where}, noise of {axis}", 0.0) for k in ("mean", "std")}
         for axis, v in (config.get("(estimated) imu sensor noise statistics") or {}).items()
     }
-    return Airframe(
+    made = Airframe(
         name=where,
         mass=mass,
         inertia=parse_inertia(config.get("moment of inertia"), where),
@@ -183,6 +187,53 @@ def read_airframe(config: Mapping[str, Any], where: str, mass: float | None = No
         positions=numbers,
         rotor1_clockwise=direction == "CW",
     )
+    _refuse_slips_of_units(made, config.get("imu position"))
+    return made
+
+
+def _refuse_slips_of_units(airframe: Airframe, imu: Any) -> None:
+    """Raise ConfigError where lengths, mass and inertia of a quadrotor are not of one vehicle, or idle is not slow."""
+    reach = float(np.max(np.linalg.norm(airframe.hubs, axis=1)))
+    size = reach + airframe.radius
+    if airframe.radius > 2.0 * reach:
+        raise ConfigError(
+            f"{airframe.name}: 'rotor radius' is {airframe.radius:g} m, but the hubs are {reach:g} m from the cg; give "
+            "both in m"
+        )
+    places = {"optitrack marker cg offset": airframe.marker_offset, "imu position": read_triple(imu, "imu position")}
+    for key, place in places.items():
+        if place is not None and np.linalg.norm(place) > FARTHEST * size:
+            raise ConfigError(
+                f"{airframe.name}: '{key}' is {np.linalg.norm(place):g} m from the cg of a vehicle whose rotors reach "
+                f"{size:.2g} m; give m"
+            )
+    if airframe.mass is not None and airframe.inertia is not None:
+        turning = np.sqrt(np.linalg.eigvalsh(airframe.inertia) / airframe.mass)
+        if turning[-1] > size or turning[0] < LEAST_GYRATION * size:
+            raise ConfigError(
+                f"{airframe.name}: 'moment of inertia' and the mass of {airframe.mass:g} kg give radii of gyration of "
+                f"{turning[0]:.2g} to {turning[-1]:.2g} m, but the rotors reach {size:.2g} m; check kg m2, kg (grams "
+                "in the logbook) and m"
+            )
+    if airframe.idle_rpm is not None and airframe.max_rpm is not None and airframe.idle_rpm >= airframe.max_rpm:
+        raise ConfigError(
+            f"{airframe.name}: 'idle RPM' {airframe.idle_rpm:g} is not below 'max RPM' {airframe.max_rpm:g}; correct "
+            "either"
+        )
+
+
+def read_triple(section: Any, key: str) -> np.ndarray | None:
+    """A vector (3,), m, written as {"x", "y", "z"} or as a list."""
+    if section in (None, "", {}, []):
+        return None
+    values = [section.get(axis, 0.0) for axis in "xyz"] if isinstance(section, Mapping) else section
+    try:
+        vector = np.array([float(v) for v in values])
+    except (TypeError, ValueError):
+        vector = np.zeros(0)
+    if vector.shape != (3,) or not np.isfinite(vector).all():
+        raise ConfigError(f"'{key}' is {section!r}, expected x, y and z in m")
+    return vector
 
 
 def erpm100_to_rad_s(poles: int) -> float:

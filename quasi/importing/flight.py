@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from quasi.airframe import DEFAULT_POLES, erpm100_to_rad_s
+from quasi.airframe import DEFAULT_POLES, erpm100_to_rad_s, read_triple
 from quasi.attitude import exponential, interpolate, multiply, rotate, rotate_inverse, to_euler
 from quasi.errors import ConfigError, DataError, add_caution
 from quasi.importing import limits
@@ -18,7 +18,7 @@ from quasi.importing.clocks.synchronisation import Motion, Synchronisation, sync
 from quasi.importing.command_map import add_commanded_speeds
 from quasi.importing.contradictions import refuse_wrong_lengths, refuse_wrong_rates
 from quasi.importing.cross_checks import cross_check
-from quasi.importing.imu_and_telemetry import lever_arm_term, read_triple, remove_telemetry_age
+from quasi.importing.imu_and_telemetry import lever_arm_term, remove_telemetry_age
 from quasi.importing.onboard_log import POSITION_COLUMNS, QUATERNION, Onboard, gather, motor_poles, read_onboard
 from quasi.importing.readers.captured_body import refuse_beyond_rooms
 from quasi.importing.readers.reader import Request

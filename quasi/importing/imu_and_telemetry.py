@@ -7,8 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from quasi.airframe import read_airframe
-from quasi.errors import ConfigError
+from quasi.airframe import read_airframe, read_triple
 from quasi.importing.clocks.telemetry import rotor_age
 from quasi.importing.lever_arm import felt_too_much, hover_arm
 from quasi.importing.onboard_log import Onboard, Track
@@ -16,20 +15,6 @@ from quasi.importing.onboard_log import Onboard, Track
 SHARP_AGE = 0.6e-3  # s, standard error up to which an age of the rotor telemetry is corrected
 YAW_EXPLAINED = 0.96  # share of yaw that it explains; where less is, the best age can be centiseconds wrong
 LEAST_AGE = -1e-3  # s: telemetry cannot run ahead of the motion by more than filter delays are uncertain
-
-
-def read_triple(section: Any, key: str) -> np.ndarray | None:
-    """A vector (3,), m, written as {"x", "y", "z"} or as a list."""
-    if section in (None, "", {}, []):
-        return None
-    values = [section.get(axis, 0.0) for axis in "xyz"] if isinstance(section, Mapping) else section
-    try:
-        vector = np.array([float(v) for v in values])
-    except (TypeError, ValueError):
-        vector = np.zeros(0)
-    if vector.shape != (3,) or not np.isfinite(vector).all():
-        raise ConfigError(f"'{key}' is {section!r}, expected x, y and z in m")
-    return vector
 
 
 def lever_arm_term(

@@ -5,6 +5,10 @@ model. Levers of hover are only the mean of that: terms such as the change of al
 differ by a third from row to row. With levers of hover the deviations of rotors planted in real recordings came out 10
 to 18 % too small, with the slopes of each row within 5 %.
 
+The model's yaw moment may hold differences of thrust as well, next to rates or speeds. They are those of the thrust
+that acts. Where they were left as logged, a weak rotor was balanced by the others, and left errors along the rates that
+looked like a tilted rotor (PyFlyt, docs/other-vehicles.md).
+
 How much torque a rotor takes with another thrust depends on why: a speed that is logged wrong changes both by one
 factor, a twisted blade hardly the torque. Torque is therefore a parameter of its own, asked where the thrust differs.
 """
@@ -30,7 +34,7 @@ from quasi.terms.expressions import Tree, parse, text
 from quasi.terms.variables import SYNONYMS, split_function
 
 SLOPES_KNOWN = 0.05  # share, from rotors planted in real recordings: docs/measured.md
-THRUST_AXES = AXES[:5]  # all but the yaw moment, which is that of the shaft
+DIFFERENCES = ("u_p", "u_q", "d_u_p", "d_u_q", "U_p", "U_q")  # of thrust, in the yaw moment; its rest is the shaft's
 NUMBERS = range(1, 5)
 LOWEST, HIGHEST = 0.3, 2.0  # physical: a rotor without two thirds of its thrust does not fly
 
@@ -48,11 +52,22 @@ def _terms(vehicle: Vehicle) -> dict[str, Terms]:
 
 def _columns(evidence: Evidence, _: Values) -> dict[str, np.ndarray]:
     slopes = evidence.gradient(*ROTORS) * (0.5 * evidence.speeds)[:, None, :]  # by the logarithm of squared speed
-    slopes[:, AXES.index("Mz")] = 0.0
+    slopes[:, AXES.index("Mz")] = _of_differences(evidence.model.airframe, slopes[:, AXES.index("Mz")], evidence.speeds)
     torques = -evidence.spin * evidence.torque
     return {f"rotor{i}": slopes[:, :, i - 1] for i in NUMBERS} | {
         f"torque{i}": evidence.only("Mz", torques[:, i - 1]) for i in NUMBERS
     }
+
+
+def _of_differences(frame: Airframe, slopes: np.ndarray, speeds: np.ndarray) -> np.ndarray:
+    """What of slopes (n, 4) of the yaw moment, by the logarithms of squared speeds, goes through roll and pitch thrust.
+
+    Differences left to right, front to aft and by spin, and the sum, are orthogonal in squared speeds. The shaft's
+    moment goes through the other two.
+    """
+    each = slopes / speeds**2
+    through = sum(np.outer(each @ pattern, pattern) for pattern in (frame.left, frame.front)) / 4.0
+    return through * speeds**2
 
 
 def _extension(values: Values, vehicle: Vehicle, model: Model) -> Extension:
@@ -65,10 +80,11 @@ def _extension(values: Values, vehicle: Vehicle, model: Model) -> Extension:
     for i in NUMBERS:
         if share := values.get(f"torque{i}", 0.0):
             terms.setdefault("Mz", []).append((_terms(vehicle)[f"torque{i}"]["Mz"], share))
-    for axis in THRUST_AXES:
+    differences = {name: tree for name, tree in effective.items() if name in DIFFERENCES}
+    for axis in AXES:
         for term in model.document["axes"].get(axis, {"terms": []})["terms"]:
             tree = parse(term["expression"])
-            acting = _replace(tree, effective)
+            acting = _replace(tree, effective if axis != "Mz" else differences)
             if acting != tree and term["coefficient"] and not term.get("stands for"):
                 pair = [(text(acting), term["coefficient"]), (term["expression"], -term["coefficient"])]
                 terms.setdefault(axis, []).extend(pair)
