@@ -84,6 +84,13 @@ def test_logged_speed_of_14_poles():
         ({"moment of inertia": "[1e-3, 1e-4, 0; 0, 1e-3, 0; 0, 0, 1e-3]"}, "not symmetric"),
         ({"motor poles": 7}, "even number of magnets"),
         ({"mass": "0"}, "positive number of kg"),
+        ({"mass": "433"}, "radii of gyration of .* but the rotors reach 0.12 m"),
+        ({"moment of inertia": "[865, 0, 0; 0, 1070, 0; 0, 0, 1710]"}, "'moment of inertia' and the mass of 0.433 kg"),
+        ({"b": "77"}, "radii of gyration"),
+        ({"rotor radius": "38.1"}, "'rotor radius' is 38.1 m, but the hubs are 0.077 m"),
+        ({"optitrack marker cg offset": {"z": "-48"}}, "'optitrack marker cg offset' is 48 m from the cg"),
+        ({"imu position": [0.0, 10.0, 0.0]}, "'imu position' is 10 m from the cg"),
+        ({"idle RPM": "2100", "max RPM": "200"}, "'idle RPM' 2100 is not below 'max RPM' 200"),
     ],
 )
 def test_faults_name_file_and_key(change, message):

@@ -71,6 +71,24 @@ def test_one_rotor_acts_by_the_model_s_slope_in_every_row_not_by_that_in_hover()
     assert left < 0.1 < 0.5 * left_by_levers
 
 
+def test_differences_of_thrust_in_the_yaw_moment_are_those_that_act_and_the_shaft_s_moment_stays():
+    shaft = {"u_r*d_w_tot": 1e-11, "r": -1e-5, "w_tot*r": -1e-9}
+    thrust = {"q*U_p": 4e-10, "p*U_q": -3e-10, "|v|*U_p": 2e-10}
+    whole, rest = (simple_model(AIRFRAME, THRUST, TORQUE, Mz={**shaft, **more}) for more in (thrust, {}))
+    rng = np.random.default_rng(4)
+    columns = {name: rng.standard_normal(300) for name in (*"uvwpqr", "roll", "pitch")}
+    columns |= {name: np.zeros(300) for name in (*"xyzt", "yaw")} | {f"w{i}_dot": np.zeros(300) for i in range(1, 5)}
+    columns |= {f"w{i}": HOVER + 150.0 * rng.standard_normal(300) for i in range(1, 5)}
+    acting = {**columns, "w2": np.sqrt(0.9) * columns["w2"]}
+    of_thrust = [(model_wrench(whole, c) - model_wrench(rest, c))[:, 5] for c in (columns, acting)]
+    effect, vehicle = catalogue()["rotor_effectiveness"], vehicle_of(whole, MASS)
+    column = -0.1 * columns_of(effect, flown(whole, columns), vehicle, {})["rotor2"][:, 5]
+    np.testing.assert_allclose(column, of_thrust[1] - of_thrust[0], rtol=0, atol=1e-3 * np.std(of_thrust[0]))
+    extended = Model(extend(whole, [(effect, {"rotor2": -0.1})], vehicle, "extended", "a test"))
+    change = (model_wrench(extended, columns) - model_wrench(whole, columns))[:, 5]
+    np.testing.assert_allclose(change, of_thrust[1] - of_thrust[0], rtol=1e-6, atol=1e-9 * np.std(of_thrust[0]))
+
+
 def test_an_extended_model_is_the_model_at_the_speeds_that_its_rotors_act_with():
     every = {"w_avg^2": 2e-7, "d_w2*|u_q|": 3e-8, "mu_x*u": 0.4, "|w_tot|*sin[roll]": 1e-5, "w2_3/w1": 1e-4, "u": -0.02}
     model = simple_model(

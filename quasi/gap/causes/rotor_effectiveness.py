@@ -63,7 +63,7 @@ def _of_differences(frame: Airframe, slopes: np.ndarray, speeds: np.ndarray) -> 
     """What of slopes (n, 4) of the yaw moment, by the logarithms of squared speeds, goes through roll and pitch thrust.
 
     Differences left to right, front to aft and by spin, and the sum, are orthogonal in squared speeds. The shaft's
-    moment goes through the other two.
+    moment goes through the other two. Of terms in plain speeds a little goes to the wrong pair.
     """
     each = slopes / speeds**2
     through = sum(np.outer(each @ pattern, pattern) for pattern in (frame.left, frame.front)) / 4.0
