@@ -6,7 +6,7 @@ from made_motion import at_times, body
 from scipy.spatial.transform import Rotation
 
 from quasi.attitude import body_rates
-from quasi.errors import DataError
+from quasi.errors import DataError, cautions
 from quasi.importing.clocks.clock_fit import ClockFit, Uniform, correlation, peaks
 from quasi.importing.clocks.synchronisation import Motion, _turned_between, synchronise
 from quasi.importing.onboard_attitude import estimate_attitude
@@ -78,10 +78,12 @@ def test_rates_between_frames_are_what_a_coarse_capture_shows():
     assert np.std(away) < 0.25 * np.std(plain)
 
 
-def test_clocks_that_disagree_by_a_percent_are_still_tied():
+def test_clocks_that_disagree_by_a_percent_are_still_tied_and_called_for_care():
     onboard, capture = sides(5, 1.0, 0.01)
-    fit = synchronise(onboard, capture, BOTH, 25.0, "flight").fit
-    assert fit.rate == pytest.approx(0.01, abs=5e-6)
+    found = synchronise(onboard, capture, BOTH, 25.0, "flight")
+    assert found.fit.rate == pytest.approx(0.01, abs=5e-6)
+    assert any("run apart by 1.0 %, far more than two clocks do" in note for note in cautions(found.notes))
+    assert not cautions(synchronise(*sides(5, 1.0, 1e-4), BOTH, 25.0, "flight").notes)
 
 
 def test_without_captured_attitude_accelerations_tie_the_clocks():

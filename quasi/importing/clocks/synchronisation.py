@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from quasi.attitude import GRAVITY, body_rates, continuous, interpolate, rotate, rotate_inverse, to_euler
-from quasi.errors import DataError
+from quasi.errors import DataError, add_caution
 from quasi.importing.clocks.clock_fit import ClockFit, Pair, Uniform, correlation, fit, peaks, uniform
 
 SIGNALS = ("roll", "pitch", "yaw", "p", "q", "r", "ax", "ay", "az")
@@ -21,6 +21,7 @@ GRID = 200.0  # Hz, of the signals compared
 MOTION_BAND = 15.0  # Hz, to which both sides are band-limited: less is motion, more is noise and vibration
 SLOW_BAND = 8.0  # Hz, for twice differentiated positions
 COARSE_RATE = 50.0  # Hz
+LARGEST_RATE = 0.005  # s/s; crystals of data sheets err by 1e-4, ours ran apart by 3e-5
 LARGEST_TURN = 0.5  # of the mix from what it must be, weighted by how much each axis moves
 
 
@@ -143,6 +144,12 @@ def synchronise(
     if abs(best.lag - centre) > longest_lag - 0.05:
         notes.append(
             f"{where}: the lag lies at the limit of {longest_lag:g} s; raise 'max permitted lag for optitrack'"
+        )
+    if abs(best.rate) > LARGEST_RATE:
+        add_caution(
+            notes,
+            f"{where}: the clocks of capture and log run apart by {100 * abs(best.rate):.1f} %, far more than two clocks "
+            "do; look for a jump of time stamps, or another frame rate than the export states",
         )
     # the fit's own error, and that of the delay which was taken off the on-board signals
     doubt = onboard.gyro_doubt if capture.quaternion is not None else onboard.accelerometer_doubt
