@@ -148,8 +148,8 @@ def synchronise(
     if abs(best.rate) > LARGEST_RATE:
         add_caution(
             notes,
-            f"{where}: the clocks of capture and log run apart by {100 * abs(best.rate):.1f} %, far more than two clocks "
-            "do; look for a jump of time stamps, or another frame rate than the export states",
+            f"{where}: the clocks of capture and log run apart by {100 * abs(best.rate):.1f} %, far more than two "
+            "clocks do; look for a jump of time stamps, or another frame rate than the export states",
         )
     # the fit's own error, and that of the delay which was taken off the on-board signals
     doubt = onboard.gyro_doubt if capture.quaternion is not None else onboard.accelerometer_doubt
