@@ -114,7 +114,8 @@ def parse_inertia(text: Any, where: str) -> np.ndarray:
 def read_airframe(config: Mapping[str, Any], where: str, mass: float | None = None) -> Airframe:
     """Build an Airframe from a quadrotor configuration.
 
-    config  the file's content; where  its path, for messages; mass  kg, the logbook's, which takes priority.
+    config  the file's content; where  its path, for messages; mass  kg, the logbook's, which takes priority, or NaN
+    where it does not matter
     Raises ConfigError naming file and key.
     """
     layout = config.get("rotor config")
@@ -207,7 +208,7 @@ def _refuse_slips_of_units(airframe: Airframe, imu: Any) -> None:
                 f"{airframe.name}: '{key}' is {np.linalg.norm(place):g} m from the cg of a vehicle whose rotors reach "
                 f"{size:.2g} m; give m"
             )
-    if airframe.mass is not None and airframe.inertia is not None:
+    if airframe.mass is not None and np.isfinite(airframe.mass):
         turning = np.sqrt(np.linalg.eigvalsh(airframe.inertia) / airframe.mass)
         if turning[-1] > size or turning[0] < LEAST_GYRATION * size:
             raise ConfigError(

@@ -34,7 +34,7 @@ def lever_arm_term(
     if arm is None:
         hover = None
         if all(f"w{i}" in columns for i in range(1, 5)) and "rotor config" in quadrotor:
-            hubs = read_airframe(quadrotor, str(quadrotor.get("file", where))).hubs
+            hubs = read_airframe(quadrotor, str(quadrotor.get("file", where)), np.nan).hubs
             hover = hover_arm(at, rates, force, np.stack([columns[f"w{i}"] for i in range(1, 5)], axis=1), hubs)
         if hover is None:
             notes.append(

@@ -1,12 +1,13 @@
 """The recorded flights of a project folder: raw files, quadrotor, mass, and settings of their two stages."""
 
 import functools
+import math
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 from quasi.airframe import read_airframe
-from quasi.errors import LogbookError, QuasiError, nearest
+from quasi.errors import ConfigError, LogbookError, QuasiError, nearest
 from quasi.project.configurations import Configurations
 from quasi.project.folder import Places, is_file, with_suffix
 from quasi.project.logbook import Row
@@ -219,8 +220,8 @@ class Recordings:
             )
         try:
             config = self.places.read(path, "quadrotor")
-            # checks beyond the schema: rotor numbers, inertia, poles; the row checks the mass
-            read_airframe(config, str(path), mass=1.0)
+            # checks beyond the schema: rotor numbers, inertia, poles; `_find_unlike_mass` has the mass
+            read_airframe(config, str(path), mass=math.nan)
         except QuasiError as error:
             return {}, str(error)
         return config, None
@@ -259,12 +260,23 @@ class Recordings:
         row = self.logbooks.row(quadrotor, flight)
         part = self.quadrotor_part(row, FILTERING)
         mass, problem = self.mass(row)
+        if mass is not None and not part["problem"]:
+            problem = problem or self._find_unlike_mass(self.quadrotor_path(row), mass)
         return {
             "mass": mass,
             "quadrotor": part["quadrotor"],
             "options": self.configuration.processing["data filtering"],
             "problem": part["problem"] or problem,
         }
+
+    @functools.cache  # noqa: B019
+    def _find_unlike_mass(self, path: Path, mass: float) -> str | None:
+        """A sentence where a quadrotor configuration cannot be that of a vehicle of this mass, kg."""
+        try:
+            read_airframe(self._quadrotor_file(path)[0], str(path), mass)
+        except ConfigError as error:
+            return str(error)
+        return None
 
     def mass(self, row: Row) -> tuple[float | None, str | None]:
         """Mass in kg (the logbook's grams, else the quadrotor's), and a sentence when it cannot be used."""

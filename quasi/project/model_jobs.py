@@ -4,6 +4,7 @@ Everything here returns plain data (Snakemake compares it to decide what is stal
 """
 
 import functools
+import math
 from pathlib import Path
 from typing import Any
 
@@ -80,7 +81,7 @@ class ModelJobs:
         ):
             return
         path, where = self.recordings.quadrotor_path(row), f"config/models/{name}.json"
-        airframe = read_airframe(config, str(path), mass=1.0)
+        airframe = read_airframe(config, str(path), mass=math.nan)
         scales = {"idle RPM": airframe.idle_rpm, "max RPM": airframe.max_rpm, "motor poles": airframe.poles}
         if lacking := [f"'{key}'" for key, value in scales.items() if not value]:
             raise ConfigError(

@@ -97,3 +97,11 @@ def test_faults_name_file_and_key(change, message):
     with pytest.raises(ConfigError, match=message) as error:
         read_airframe({**BEETLE, **change}, "config/beetle.json")
     assert str(error.value).startswith("config/beetle.json")
+
+
+def test_a_mass_that_is_known_elsewhere_is_not_held_against_the_inertia():
+    light = {**BEETLE, "moment of inertia": "[1.4e-5, 0, 0; 0, 1.4e-5, 0; 0, 0, 2.2e-5]", "mass": "0.027"}
+    assert np.isnan(read_airframe(light, "light", np.nan).mass)
+    assert read_airframe(light, "light").mass == 0.027
+    with pytest.raises(ConfigError, match="mass of 1 kg give radii of gyration"):
+        read_airframe(light, "light", 1.0)

@@ -53,6 +53,7 @@ FAULTS = {
     "another controller": (lambda lab: edit(lab, "a,data/raw,table", "a,data/raw,betaflight"), "data/raw/a.csv"),
     "no gyro": (lambda lab: log(lab / "data/raw/a.csv", *IMU[3:], *PLACE, *ROTORS), "'p'"),
     "mass in kg": (lambda lab: edit(lab, "Quad,433", "Quad,0.433"), "'Mass' is 0.433 grams"),
+    "mass of another": (lambda lab: edit(lab, "Quad,433", "Quad,90000"), "mass of 90 kg give radii of gyration"),
     "empty file": (lambda lab: (lab / "data/raw/c.csv").write_text(""), "data/raw/c.csv is empty"),
 }  # fmt: skip
 
