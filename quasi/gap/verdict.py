@@ -133,8 +133,10 @@ def judge_causes(case: Case, found: Found) -> tuple[Settled, unexplained.Left]:
         )  # fmt: skip
 
     settled, left = _outdone(case, settled, found, left_by)
+    ties = found.ties
     rest = _next_to_unknown(case, settled, found, left)
-    return (rest, left) if rest is settled else _outdone(case, rest, found, left_by)
+    rest = _fainter_than_unknown(case, rest, found, left)
+    return (rest, left) if rest is settled and found.ties is ties else _outdone(case, rest, found, left_by)
 
 
 def _settled(case: Case, found: Found, causes: Sequence[Cause]) -> Settled:
@@ -154,10 +156,15 @@ def _drop_ties_in_part(case: Case, found: Found, causes: Sequence[Cause]) -> Non
         key = (cause.effect.id, cause.since)
         if key not in firsts:
             continue
-        gone = [pair for pair in partial if (pair[1].tests[0].offer.cause, pair[0]) == key]
-        found.ties = [pair for pair in found.ties if not any(pair is other for other in gone)]
-        found.stand_ins = [c for c in found.stand_ins if (c.effect.id, c.since) != key]
-        found.contradicted |= {t.offer.cause: (t, confirmation.why) for _, tie in gone for t in tie.tests}
+        _drop_ties(found, cause, confirmation.why)
+
+
+def _drop_ties(found: Found, first: Cause, why: str) -> None:
+    """Take the ties whose first cause this is from `found`."""
+    gone = [pair for pair in found.ties if (pair[1].tests[0].offer.cause, pair[0]) == (first.effect.id, first.since)]
+    found.ties = [pair for pair in found.ties if not any(pair is other for other in gone)]
+    found.stand_ins = [c for c in found.stand_ins if (c.effect.id, c.since) != (first.effect.id, first.since)]
+    found.contradicted |= {t.offer.cause: (t, why) for _, tie in gone for t in tie.tests}
 
 
 def _without(settled: Settled, cause: Cause, why: str, outcome: str = REFUTED) -> Settled:
@@ -364,6 +371,29 @@ def _next_to_unknown(case: Case, settled: Settled, found: Found, left: unexplain
     for cause in doubtful:
         if drowned(*_power(cause, case), unknown):
             settled = _without(settled, cause, DROWNED)
+    return settled
+
+
+def _fainter_than_unknown(case: Case, settled: Settled, found: Found, left: unexplained.Left) -> Settled:
+    """Without names and ties where the axis that shows them most holds something clearer that no cause explains.
+
+    The functions that describe an unknown error have not its form. What they leave of it is large enough to be
+    significant, and may look like anything."""
+    unknown = [(AXES.index(e["channel"]), e["since"], e["evidence"]["p"], e["where"]) for e in left.entries]
+
+    def why(cause: Cause) -> str:
+        own, usual = _power(cause, case)
+        axis = int(np.argmax(own / np.maximum(usual, 1e-300)))
+        for k, since, p, where in unknown:
+            if (k, since) == (axis, cause.since) and p < cause.test.p:
+                along = where if where == EVERYWHERE else f"along the {where}"
+                return f"{AXES[axis]} differs {along} in a way that no cause explains, and more clearly (p = {p:.2g})"
+        return ""
+
+    for tied in [c for c in found.stand_ins if why(c)]:
+        _drop_ties(found, tied, why(tied))
+    for cause in settled.causes:
+        settled = _without(settled, cause, why(cause)) if why(cause) else settled
     return settled
 
 

@@ -157,7 +157,8 @@ def _names(lines: list[str], path: str) -> tuple[int, str, list[str], dict[str, 
                 return at, separator, names, units
     raise ReadError(
         f"{path} is no decoded blackbox log: expected a line of column names with 'time' and 'gyroADC[0]' within its "
-        f"first {_HEADER_LINES} lines; give the CSV of blackbox_decode or of the Blackbox Viewer, or the .bbl file"
+        f"first {_HEADER_LINES} lines; give the CSV of blackbox_decode or of the Blackbox Viewer, or the .bbl file; "
+        "another table needs a quadrotor's JSON with 'table columns' (docs/log-formats.md)"
     )
 
 

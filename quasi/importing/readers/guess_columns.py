@@ -108,7 +108,7 @@ def guess_columns(frames: Mapping[str, pd.DataFrame]) -> Guess:
                 name = part if all(s["name"] != part for s in sources) else f"{part} of {group}"
                 sources.append({"name": name, **axes, **stamped, "columns": own})
     if "p" not in taken:
-        guess.remarks.append("no columns of body rates were recognised; write 'table columns' (docs/your-own-data.md)")
+        guess.remarks.append("no columns of body rates were recognised; write 'table columns' (docs/log-formats.md)")
         return guess
     guess.mapping = ({"time": clocks[0]} if clocks else {}) | {"sources": sources}
     guess.remarks.append("columns, units and axes were guessed from names and numbers: check 'table columns'")
