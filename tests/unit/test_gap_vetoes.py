@@ -8,10 +8,12 @@ import pytest
 from test_gap_extension import base_of
 from test_gap_extension import flight as made
 
+from quasi.gap import verdict
 from quasi.gap.base_model import Worth, worth_of
 from quasi.gap.catalogue import catalogue
 from quasi.gap.constant_loads import LOADS, constant_force_ties, in_ties
 from quasi.gap.diagnosis import _suspected, verdict_of
+from quasi.gap.levels.rollouts.confirmation import Confirmation
 from quasi.gap.losses import Loss, drive_losses, only_loss, trim_is_usual
 from quasi.gap.report.wording import tie_sentence
 from quasi.gap.verdict import drowned, reject_losing_causes
@@ -301,3 +303,35 @@ def test_a_cause_far_below_an_unknown_error_of_its_axes_gives_way(made, unknown,
     """Sizes in N and N m rms, of flights whose errors are 0.1 N and 1e-3 N m."""
     own, there = (np.array([sizes.get(a, 0.0) ** 2 for a in AXES]) for sizes in (made, unknown))
     assert drowned(own, np.array([0.1] * 3 + [1e-3] * 3) ** 2, there) is gives_way
+
+
+def shown_by(name, p, axis, since="changed"):
+    test = SimpleNamespace(p=p, offer=SimpleNamespace(cause=name))
+    return SimpleNamespace(effect=SimpleNamespace(id=name), since=since, test=test, axis=axis)
+
+
+@pytest.mark.parametrize(
+    ("channel", "p", "since", "gives_way"),
+    [("Mz", 1e-20, "changed", True), ("Mz", 1e-3, "changed", False),  # the unknown is fainter
+     ("Fz", 1e-20, "changed", False), ("Mz", 1e-20, "always", False)],
+)  # fmt: skip
+def test_a_name_or_tie_gives_way_to_something_clearer_on_its_axis_that_no_cause_explains(
+    monkeypatch, channel, p, since, gives_way
+):
+    """Rotors that drag at their hubs damp yaw; what a function of the rate left of that had been a tilted rotor."""
+    named, first = shown_by("rotor_tilt", 1e-9, 5), shown_by("torque_factor", 1e-7, 5)
+    tie = SimpleNamespace(tests=[first.test, SimpleNamespace(p=1e-7, offer=SimpleNamespace(cause="inertia"))])
+    found = SimpleNamespace(ties=[("changed", tie)], stand_ins=[first], contradicted={})
+    confirmation = Confirmation(verdict.CONFIRMED, 1.0, 0.1, 5.0)
+    settled = SimpleNamespace(causes=[named], confirmations={("rotor_tilt", "changed"): confirmation}, dropped=[])
+    settled._replace = lambda **new: SimpleNamespace(**{**vars(settled), **new})
+    monkeypatch.setattr(verdict, "_power", lambda c, case: (np.eye(6)[c.axis], np.ones(6)))
+    entry = {"channel": channel, "where": "yaw rate", "since": since, "evidence": {"p": p}}
+    result = verdict._fainter_than_unknown(None, settled, found, SimpleNamespace(entries=[entry]))
+    assert bool(result.causes) is bool(found.ties) is bool(found.stand_ins) is not gives_way
+    if gives_way:
+        why = "Mz differs along the yaw rate in a way that no cause explains, and more clearly (p = 1e-20)"
+        assert [c.why for _, c in result.dropped] == [why] and result.dropped[0][1].outcome == verdict.REFUTED
+        assert {name: text for name, (_, text) in found.contradicted.items()} == dict.fromkeys(
+            ("torque_factor", "inertia"), why
+        )
