@@ -34,7 +34,14 @@ from quasi.terms.expressions import Tree, parse, text
 from quasi.terms.variables import SYNONYMS, split_function
 
 SLOPES_KNOWN = 0.05  # share, from rotors planted in real recordings: docs/measured.md
-DIFFERENCES = ("u_p", "u_q", "d_u_p", "d_u_q", "U_p", "U_q")  # of thrust, in the yaw moment; its rest is the shaft's
+THRUST_DIFFERENCES = (
+    "u_p",
+    "u_q",
+    "d_u_p",
+    "d_u_q",
+    "U_p",
+    "U_q",
+)  # of thrust, in the yaw moment; its rest is the shaft's
 NUMBERS = range(1, 5)
 LOWEST, HIGHEST = 0.3, 2.0  # physical: a rotor without two thirds of its thrust does not fly
 
@@ -80,7 +87,7 @@ def _extension(values: Values, vehicle: Vehicle, model: Model) -> Extension:
     for i in NUMBERS:
         if share := values.get(f"torque{i}", 0.0):
             terms.setdefault("Mz", []).append((_terms(vehicle)[f"torque{i}"]["Mz"], share))
-    differences = {name: tree for name, tree in effective.items() if name in DIFFERENCES}
+    differences = {name: tree for name, tree in effective.items() if name in THRUST_DIFFERENCES}
     for axis in AXES:
         for term in model.document["axes"].get(axis, {"terms": []})["terms"]:
             tree = parse(term["expression"])

@@ -21,7 +21,7 @@ GRID = 200.0  # Hz, of the signals compared
 MOTION_BAND = 15.0  # Hz, to which both sides are band-limited: less is motion, more is noise and vibration
 SLOW_BAND = 8.0  # Hz, for twice differentiated positions
 COARSE_RATE = 50.0  # Hz
-LARGEST_RATE = 0.005  # s/s; crystals of data sheets err by 1e-4, ours ran apart by 3e-5
+LARGEST_CLOCK_RATE = 0.005  # s/s; crystals of data sheets err by 1e-4, ours ran apart by 3e-5
 LARGEST_TURN = 0.5  # of the mix from what it must be, weighted by how much each axis moves
 
 
@@ -145,7 +145,7 @@ def synchronise(
         notes.append(
             f"{where}: the lag lies at the limit of {longest_lag:g} s; raise 'max permitted lag for optitrack'"
         )
-    if abs(best.rate) > LARGEST_RATE:
+    if abs(best.rate) > LARGEST_CLOCK_RATE:
         add_caution(
             notes,
             f"{where}: the clocks of capture and log run apart by {100 * abs(best.rate):.1f} %, far more than two "
