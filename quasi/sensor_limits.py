@@ -98,40 +98,37 @@ def check_axis_order(exchanged: Mapping[str, str], attitude: str) -> list[Contra
     return [Contradiction(("gyro", attitude), "order of axes", float(len(exchanged)), 0.0, "1", text)]
 
 
-def check_directions(
-    gains: Mapping[str, tuple[float, float]],
-    vertical: tuple[float, float] | None,
-    horizontal: tuple[float, float],
-    tilt: float | None,
-    attitude: str,
-    position: str,
-) -> list[Contradiction]:
-    """Axes of accelerometer, attitude and a position that are reversed, mirrored or turned.
+def check_directions(forces: Any, attitude: str, position: str) -> list[Contradiction]:
+    """Axes of accelerometer, attitude and a position that are reversed, mirrored, turned or those of another frame.
 
-    gains, vertical  bounds of measured over needed specific force by axis, and of the vertical acceleration
-    horizontal       correlation of horizontal accelerations as they are, and after the best turn or mirror
-    tilt             rad, of the vertical by the best turn in space, None where unknown
+    forces  `contradictions.ForceComparison`; attitude, position  names of their sources
     """
-    aligned, best = horizontal
+    aligned, best = forces.horizontal
+    vertical, tilt = forces.vertical, forces.tilt
+    wrong = [axis for axis, bounds in forces.gains.items() if bounds[1] < 0.0]
+    other, unit, remedy = position, "1", "check the axes of the position, z-up or NED"
     if vertical is not None and vertical[1] < 0.0:
-        how, value = "it accelerates down where it should accelerate up", vertical[1]
+        what, value, limit = "direction", vertical[1], 0.0
+        how = "it accelerates down where it should accelerate up"
     elif best > MIN_CORRELATION and aligned < 0.5 * best:
-        how, value = "its horizontal axes are turned or mirrored, as by x and y exchanged or one reversed", aligned
+        what, value, limit = "direction", aligned, 0.0 if aligned < 0.0 else 0.5 * best
+        how = "its horizontal axes are turned or mirrored, as by x and y exchanged or one reversed"
     elif tilt is not None and tilt > AXES_ANGLE:
+        what, value, limit, unit = "vertical", tilt, AXES_ANGLE, "rad"
         how = f"its vertical is turned by {np.degrees(tilt):.0f} deg against gravity's, as by y-up taken for z-up"
-        text = _contradict("accelerometer", position, how, "check the axes of the position")
-        return [Contradiction(("accelerometer", position), "vertical", tilt, AXES_ANGLE, "rad", text)]
-    else:
-        wrong = [axis for axis, bounds in gains.items() if bounds[1] < 0.0]
-        if not wrong:
-            return []
+    elif wrong:
+        what, value, limit, other = "sign", forces.gains[wrong[0]][1], 0.0, attitude
         how = f"{', '.join(wrong)} has the opposite sign of what gravity and the motion need"
-        text = _contradict("accelerometer", attitude, how, "check signs and axes of both")
-        return [Contradiction(("accelerometer", attitude), "sign", gains[wrong[0]][1], 0.0, "1", text)]
-    text = _contradict("accelerometer", position, how, "check the axes of the position, z-up or NED")
-    return [
-        Contradiction(("accelerometer", position), "direction", value, 0.0 if value < 0.0 else 0.5 * best, "1", text)
-    ]
+        remedy = "check signs and axes of both"
+    elif forces.misread:
+        what, value, limit, other = "frame", 1.0, 0.0, attitude
+        stands, stated = ("earth's", "body's") if forces.misread == "world" else ("body's", "earth's")
+        how = f"its values fit the motion in the {stands} axes, and are read as in the {stated}"
+        remedy = "correct the frame of the accelerometer's columns"
+    else:
+        return []
+    text = _contradict("accelerometer", other, how, remedy)
+    return [Contradiction(("accelerometer", other), what, float(value), float(limit), unit, text)]
 
 
 def check_length_ratio(ratio: float | None, position: str) -> list[Contradiction]:

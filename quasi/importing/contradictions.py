@@ -157,6 +157,8 @@ class ForceComparison(NamedTuple):
                 and after the best turn or mirror
     tilt        rad, of the vertical by the turn or mirror that brings the path's accelerations nearest to the measured
                 ones; None where these do not go together along two directions
+    misread     "world" where the accelerometer's values fit the motion as they stand, in the earth's axes; "body" where
+                they do once they are turned back, for they stood in the body's; else None
     """
 
     residual: np.ndarray
@@ -164,6 +166,7 @@ class ForceComparison(NamedTuple):
     vertical: tuple[float, float] | None
     horizontal: tuple[float, float]
     tilt: float | None
+    misread: str | None
 
 
 def compare_forces(
@@ -209,7 +212,20 @@ def compare_forces(
         _slopes(sensed[:, 2], acceleration[:, 2], LEAST_MOTION),
         (turned if free_heading else float(np.vdot(other, one).real) / size, max(turned, mirrored)),
         _tilt(sensed - sensed.mean(axis=0), acceleration - acceleration.mean(axis=0)),
+        _misread(acceleration, sensed, {"world": there + gravity, "body": rotate(q, sensed - gravity) + gravity}),
     )
+
+
+def _misread(needed: np.ndarray, sensed: np.ndarray, otherwise: Mapping[str, np.ndarray]) -> str | None:
+    """The other reading (n, 3) that goes with the needed acceleration (n, 3) and leaves less than half of its error."""
+    own = float(np.sum(np.var(sensed - needed, axis=0)))
+    for name, reading in otherwise.items():
+        a, b = reading - reading.mean(axis=0), needed - needed.mean(axis=0)
+        moving = min(np.mean(np.sum(a * a, axis=1)), np.mean(np.sum(b * b, axis=1))) > LEAST_MOTION**2
+        alike = np.sum(a * b) > LEAST_CORRELATION * np.sqrt(np.sum(a * a) * np.sum(b * b))
+        if moving and alike and np.sum(np.var(reading - needed, axis=0)) < 0.25 * own:
+            return name
+    return None
 
 
 def _tilt(one: np.ndarray, other: np.ndarray) -> float | None:

@@ -66,14 +66,12 @@ def _check_path(
     if not attitudes:  # levelled by the accelerometer: only the vertical says something
         forces = compare_forces(motion, t, values, motion.t, motion.quaternion, True, derivatives)
         if forces is not None:
-            alone = {}, forces.vertical, (1.0, 0.0), None, "", path
-            found = check_residual(forces.residual, None, path) or check_directions(*alone)
+            vertical = forces._replace(gains={}, horizontal=(1.0, 0.0), tilt=None, misread=None)
+            found = check_residual(forces.residual, None, path) or check_directions(vertical, "", path)
     for name, (q_t, attitude) in attitudes.items():
         # a capture's heading is aligned later; on board, attitude and path have to share their axes
         free = name == ONBOARD_ATTITUDE and path == CAPTURED_POSITION
         forces = compare_forces(motion, t, values, q_t, attitude, free, derivatives)
         if forces is not None:
-            found += check_residual(forces.residual, name, path) or check_directions(
-                forces.gains, forces.vertical, forces.horizontal, forces.tilt, name, path
-            )
+            found += check_residual(forces.residual, name, path) or check_directions(forces, name, path)
     return found
