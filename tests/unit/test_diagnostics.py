@@ -1,6 +1,7 @@
 """Verdicts on flights that were made to deserve them, and every figure against plain arithmetic."""
 
 import copy
+from types import SimpleNamespace
 
 import numpy as np
 import pandas as pd
@@ -11,7 +12,7 @@ from quasi.errors import DataError
 from quasi.identification.partition import ROLES, TRAINING
 from quasi.model.model import Model
 from quasi.scoring.review import review_model
-from quasi.scoring.score import compare_with_measurements, score_comparisons
+from quasi.scoring.score import _score_rows, compare_with_measurements, score_comparisons
 from quasi.scoring.summary import format_summary
 from quasi.scoring.verdict import (
     derive_verdict,
@@ -181,6 +182,19 @@ def test_a_livelier_flight_with_errors_in_proportion_is_no_fault():
         "Fx: good on training and validation",
         "; ".join([worse["statement"], *worse["what to do"]]),
     ]
+
+
+@pytest.mark.parametrize(("axis", "size", "known"), [("Fx", 5e-9, False), ("Fx", 1e-4, True), ("Mx", 1e-8, True)])
+def test_an_axis_that_nothing_measured_has_no_r2_and_no_good_verdict(axis, size, known):
+    """A log without horizontal motion leaves Fx at rounding, and its R2 was -984610."""
+    measured = size * np.random.default_rng(0).standard_normal(500)
+    rows = np.column_stack([measured, np.zeros(500), np.full(500, -1.0), np.full(500, 1.0)])
+    model = SimpleNamespace(document={"axes": {axis: {"confidence level": 0.95}}})
+    r2 = _score_rows("a", "training", axis, rows, model)["r2"]
+    assert np.isfinite(r2) == known
+    if not known:
+        found = derive_verdict(axis, {"rmse": {"training": size}, "r2": {"training": None}})
+        assert found["verdict"] == "usable with care" and "no source measured it" in found["statement"]
 
 
 def test_lopsided_errors_are_told_as_in_the_manuals_example():

@@ -7,6 +7,7 @@ from rigid_body import INERTIA, MASS, measure, move, quadrotor
 from quasi import attitude, tables
 from quasi.errors import ConfigError, DataError
 from quasi.filtering import forces
+from quasi.filtering.band import _cutoff
 from quasi.filtering.estimation import CONVERGENCE_UNITS
 from quasi.filtering.flight import course, filter_flight
 
@@ -351,4 +352,7 @@ def test_what_shakes_the_quadrotor_after_its_landing_does_not_turn_the_capture(m
 def test_cutoff_too_high_for_the_grid_is_lowered_and_said(made):
     result = filter_flight(*made, AIRFRAME, {"low-pass cutoff Hz": 200.0})
     assert about(result.metadata, "too high for a grid")
+    notes = []
+    assert _cutoff(100.0, 500.0, 500.0 * (1 - 1e-9), notes) == pytest.approx(100.0)
+    assert not notes  # the grid's rounding is no lower cut-off
     assert result.metadata["filters"]["low-pass cutoff Hz"] == pytest.approx(100.0)

@@ -1,6 +1,7 @@
 """From one file to a folder that can be run: geometry, columns and logbook as the log tells; logs written in SI."""
 
 import csv
+import io
 import json
 from pathlib import Path
 
@@ -13,7 +14,9 @@ from recordings import SHARED
 
 from quasi.airframe import read_airframe
 from quasi.command import main
+from quasi.importing.decode import _mcap
 from quasi.importing.readers.guess_columns import guess_columns
+from quasi.importing.series import Series
 from quasi.tables import read_fields, read_json
 
 DATA = SHARED.parent
@@ -138,6 +141,16 @@ def test_a_decoded_log_in_mcap_is_read_by_its_library(tmp_path, flight):
         rates = [json.loads(m.data)["p"] for _, c, m in reader.iter_messages(topics=["/onboard"])]
     assert units["p"] == "rad/s body FRD" and units["w1"] == "rad/s"
     np.testing.assert_allclose(rates, flight.rates[:, 0], atol=1e-6)
+
+
+def test_a_series_of_stamps_alone_is_left_out_of_mcap(tmp_path):
+    pytest.importorskip("mcap")
+    from mcap.reader import make_reader
+
+    t = np.arange(3) / 10.0
+    data = _mcap({"onboard": Series(t, {"p": t}), "onboard (stamps)": Series(t, {})}, tmp_path / "log")
+    topics = {channel.topic for _, channel, _ in make_reader(io.BytesIO(data)).iter_messages()}
+    assert topics == {"/onboard"}
 
 
 def test_a_decoded_log_never_replaces_the_log(tmp_path, flight, capsys):

@@ -135,9 +135,29 @@ def test_columns_are_known_however_letters_and_spaces_are_written(tmp_path, name
     assert (row.key, row.number_in("Mass"), row.cells["Weather"]) == ("a", 433, "sunny")
 
 
+def test_columns_that_state_a_unit_are_known_without_it(tmp_path):
+    header = [*NEEDED, "Static wind", "Wind towards", "OptiTrack time offset"]
+    units = ("Static wind (m/s)", "Wind towards (deg)", "OptiTrack time offset (s)")
+    row = {"Static wind": "2.5", "Wind towards": "90", "OptiTrack time offset": "0.1"}
+    found = read_logbook(write(tmp_path / "log.csv", {**flight("a"), **row}, header=header))[2]
+    assert [found.number_in(column) for column in units] == [2.5, 90.0, 0.1]
+
+
+@pytest.mark.parametrize(("word", "yes"), [("Y", True), ("x", True), ("n", False), ("", False), ("maybe", None)])
+def test_a_word_that_is_neither_yes_nor_no_is_a_fault_of_its_row(tmp_path, word, yes):
+    rows = flight("a", **{"Has OT data": word}), flight("b", **{"Has OT data": "N"})
+    book = read_logbook(write(tmp_path / "log.csv", *rows, header=[*NEEDED, "Has OT data"]))
+    assert book[3].problem is None
+    if yes is None:
+        assert "row 2: 'Has OT data' is 'maybe', expected Y or N" in book[2].problem
+    else:
+        assert book[2].problem is None and book[2].has("Has OT data") is yes
+
+
 @pytest.mark.parametrize(
     ("name", "words"),
     [
+        ("Wind toward", "did you mean 'Wind towards"),
         ("Mass (kg)", "name it 'Mass' and write grams"),
         ("Fligth key", "did you mean 'Flight key'"),
         ("Has OT dat", "did"),

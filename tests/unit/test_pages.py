@@ -286,6 +286,17 @@ def test_warnings_of_a_fit_are_grouped_by_kind_with_what_to_do():
 # ---- the index ----
 
 
+@pytest.mark.parametrize(
+    ("verdicts", "headline"),
+    [((), "nothing judged"), (("good", "explained"), "explained"), (("good", "unexplained"), "unexplained")],
+)
+def test_without_pages_of_flights_the_index_begins_with_models_and_gaps(verdicts, headline):
+    entries = [{"name": "same", "file": "f", "link": None, "data": {"verdict": v, "axes": {}}} for v in verdicts]
+    html = index.render_index({kind: [e] for kind, e in zip(("models", "gaps"), entries)}, "lab")
+    assert f"<b>{headline}:</b>" in html and "0 flights" not in html
+    assert not verdicts or ("model same</span>" in html and "gap same</span>" in html)
+
+
 def test_the_index_lists_what_stands_in_a_folder_and_links_it(tmp_path):
     write_json(tmp_path / "results/parts/filtering/Q/one/verdict.json", {"verdict": "good", "because": "all agree"})
     (tmp_path / "results/reports/Q").mkdir(parents=True)
