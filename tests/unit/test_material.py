@@ -5,13 +5,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from test_actuation import MODEL, VOLTS
+from test_actuation import DOWN, MAP, MODEL, UP, VOLTS
 from test_actuation import flown as driven
 from test_kinematic import flown as moved
 
 from quasi.gap.entries import lower_effect
 from quasi.gap.levels import sensors_and_drive
 from quasi.gap.levels.corrections import document, for_flight
+from quasi.gap.levels.drive import held_out as drive_held_out
 from quasi.gap.levels.drive import identify as drive_level
 from quasi.gap.levels.sensors import held_out
 from quasi.gap.levels.sensors import identify as sensor_level
@@ -127,6 +128,21 @@ def test_a_voltage_that_stays_cannot_show_what_it_does():
     other = json.loads(json.dumps(levels))
     reject_immaterial(other, [driven(5)], [], SHARE)  # follows the battery as the model says
     assert not other["drive"]["effects"]
+
+
+def test_a_delay_that_was_always_there_and_one_that_was_added_are_judged_together():
+    healthy = {"values": [UP, DOWN, 0.0, *MAP, 1.0, *4 * [0.0]], "voltage": VOLTS}
+    always, changed = (
+        {"id": "command_delay", "since": since, "parameters": {"delay": {"value": value}}}
+        for since, value in (("always", 0.004), ("changed", 0.006))
+    )
+    flight = driven(3, late=0.01)
+    both = drive_held_out.gains([always, changed], [flight], healthy)["command_delay"].removed
+    half = drive_held_out.gains([changed], [flight], healthy)["command_delay"].removed
+    assert both.max() > 0.9 and both.max() > half.max() + 0.05
+    np.testing.assert_allclose(
+        drive_held_out.gains([changed, always], [flight], healthy)["command_delay"].removed, both
+    )
 
 
 @pytest.mark.parametrize("compared, held", [(3, 1), (8, 1), (4, 4)])

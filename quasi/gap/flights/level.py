@@ -79,6 +79,14 @@ def values_of(entry: Mapping[str, Any]) -> dict[str, float]:
     return {n: p["value"] for n, p in parameters.items()}
 
 
+def by_cause(entries: Sequence[Mapping[str, Any]]) -> dict[str, list[Mapping[str, Any]]]:
+    """Effects and ties by `cause_of`: one cause may act always and have changed as well."""
+    found: dict[str, list[Mapping[str, Any]]] = {}
+    for entry in entries:
+        found.setdefault(cause_of(entry), []).append(entry)
+    return found
+
+
 class SensorMixedModel(MixedModel):
     """Tests whose nuisances have spreads known from many flights, not estimated from the few at hand.
 

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from quasi.gap.flights.level import Flown, cause_of, causes_of, values_of
+from quasi.gap.flights.level import Flown, by_cause, causes_of, values_of
 from quasi.gap.levels.drive.fit import CONSTANTS, Belief, DriveFit, commanded, fit_drive
 from quasi.gap.levels.drive.identify import DRIVE_CAUSES, LATE, NORMAL, whole
 from quasi.gap.materiality import Gain, LinearErrors, each_usable, gains_of, without_nuisances
@@ -25,7 +25,8 @@ def gains(
         slopes = fit.slopes @ _without_nuisances(fit, reference, causes_of(entries))
         return LinearErrors(fit.residual + slopes @ (whole(flown, fit) - reference.values), fit.residual, slopes)
 
-    return gains_of(each_usable(flights, errors), {cause_of(e): _deviations(e, reference.values) for e in entries})
+    sizes = {cause: _deviations(cause, of, reference.values) for cause, of in by_cause(entries).items()}
+    return gains_of(each_usable(flights, errors), sizes)
 
 
 def _without_nuisances(fit: DriveFit, reference: Belief, own: set[str]) -> np.ndarray:
@@ -36,14 +37,14 @@ def _without_nuisances(fit: DriveFit, reference: Belief, own: set[str]) -> np.nd
     return without_nuisances(np.linalg.inv(fit.covariance()), spread)
 
 
-def _deviations(entry: Mapping[str, Any], healthy: np.ndarray) -> np.ndarray:
-    """Values (11,) of the drive's constants, as deviations from healthy ones."""
-    cause, stated = cause_of(entry), values_of(entry)
+def _deviations(cause: str, entries: Sequence[Mapping[str, Any]], healthy: np.ndarray) -> np.ndarray:
+    """Values (11,) of the drive's constants, as deviations from healthy ones; what was always there and what changed
+    add up. Time constants and exponents are stated as totals."""
     size = np.zeros(len(CONSTANTS))
     if cause == "motor_lag":
-        size[:2] = [entry["evidence"][n] - healthy[k] for k, n in enumerate(("up", "down"))]
+        size[:2] = [entries[0]["evidence"][n] - healthy[k] for k, n in enumerate(("up", "down"))]
     elif cause == "battery_sag":
-        size[6] = stated["exponent"] - healthy[6]
+        size[6] = values_of(entries[0])["exponent"] - healthy[6]
     else:
-        size[2] = stated["delay"]
+        size[2] = sum(values_of(e)["delay"] for e in entries)
     return size

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from quasi.gap.catalogue import catalogue
-from quasi.gap.flights.level import Flown, cause_of, causes_of, values_of
+from quasi.gap.flights.level import Flown, by_cause, causes_of, values_of
 from quasi.gap.levels.sensors.columns import Weak, corrected_already, weak_form
 from quasi.gap.levels.sensors.identify import NORMAL_SPREAD, SENSOR_CAUSES, size_of
 from quasi.gap.levels.sensors.products import blocks_of, least_squares, whitener_of
@@ -65,7 +65,7 @@ def _gains(
         weak = known.weak
         columns = weak.columns @ _without_nuisances(known, own)
         position = {n: k for k, n in enumerate(weak.names)}
-        sizes = {cause_of(e): _in_columns(e, position) for e in entries}
+        sizes = {c: sum(_in_columns(c, e, position) for e in of) for c, of in by_cause(entries).items()}
         values = corrected_already(known.flown, weak.names)
         values[0] = 1.0
         if corrected:  # what import took off is added again; it takes off none but what it can correct
@@ -85,9 +85,9 @@ def _without_nuisances(known: _Known, own: set[str]) -> np.ndarray:
     return without_nuisances(known.information, spread)
 
 
-def _in_columns(entry: Mapping[str, Any], position: Mapping[str, int]) -> np.ndarray:
+def _in_columns(cause: str, entry: Mapping[str, Any], position: Mapping[str, int]) -> np.ndarray:
     """Values (P,) of the columns; markers that sit elsewhere look like an IMU that sits the other way."""
-    cause, sign = cause_of(entry), 1.0
+    sign = 1.0
     if cause == "marker_offset":
         cause, sign = "imu_lever_arm", -1.0
     values = np.zeros(len(position))
