@@ -25,10 +25,11 @@ MIN_SECONDS = 5.0  # s of compared rows, ten times the longest time constant
 
 
 class _Taught(NamedTuple):
-    """One flight: dt s, every rows of which one is compared, commands (N, 4) over the operating command, ratio (N, 1)
-    of voltages or 1, speeds (M, 4) rad/s at the compared rows (M,)."""
+    """One flight: dt s, step s between compared rows, commands (N, 4) over the operating command, ratio (N, 1) of
+    voltages or 1, speeds (M, 4) rad/s at the compared rows (M,)."""
 
     dt: float
+    step: float
     commands: np.ndarray
     ratio: np.ndarray | float
     speeds: np.ndarray
@@ -55,7 +56,7 @@ def teach_map(
         if len(volts) and np.std(volts) >= 0.01 * np.median(volts) > 0.0:
             reference = float(np.median(volts))
     taught = {k: _prepare(f, chosen[k], operating, reference) for k, f in flights.items()}
-    seconds = sum(len(f.rows) for f in taught.values()) / FITTED_RATE
+    seconds = sum(len(f.rows) * f.step for f in taught.values())
     if seconds < MIN_SECONDS or operating <= 0.0:
         raise DataError(
             f"flights {', '.join(flights)} hold {seconds:.1f} s of commands and rotor speeds that could teach the "
@@ -72,9 +73,10 @@ def _prepare(flight: pd.DataFrame, chosen: np.ndarray, operating: float, referen
     ratio: np.ndarray | float = 1.0
     if reference is not None:
         ratio = flight["battery_voltage"].to_numpy(float)[:, None] / reference
-    rows = np.flatnonzero(chosen & (t - t[0] > WARM_UP))[:: max(round(1.0 / (FITTED_RATE * dt)), 1)]
+    every = max(round(1.0 / (FITTED_RATE * dt)), 1)
+    rows = np.flatnonzero(chosen & (t - t[0] > WARM_UP))[::every]
     commands = np.maximum(flight[list(SHARES)].to_numpy(float), 0.0) / max(operating, 1e-9)
-    return _Taught(dt, commands, ratio, flight[list(SPEEDS)].to_numpy(float)[rows], rows)
+    return _Taught(dt, every * dt, commands, ratio, flight[list(SPEEDS)].to_numpy(float)[rows], rows)
 
 
 def _fit(form: str, flights: Sequence[_Taught], with_voltage: bool) -> dict[str, Any]:

@@ -89,12 +89,14 @@ def _read(
 def joined(series: Mapping[str, Series]) -> pd.DataFrame:
     """All quantities over the moments at which any was sampled: column t, s, then one for each; NaN without a sample.
 
-    Columns of a capture that share a name with on-board ones are called "capture_x" and so on.
+    Columns of a capture that share a name with on-board ones are called "capture_x" and so on, those of a further
+    source on board "external_vx" for its source "onboard external".
     """
     frames = []
     seen: set[str] = set()
-    for name, one in series.items():
-        columns = {f"capture_{n}" if name == "capture" and n in seen else n: v for n, v in one.values.items()}
+    for name, one in sorted(series.items(), key=lambda item: item[0] == "capture"):
+        of = name.removeprefix("onboard ").replace(" ", "_")
+        columns = {f"{of}_{n}" if n in seen else n: v for n, v in one.values.items()}
         seen |= set(columns)
         frames.append(pd.DataFrame({"t": np.round(one.t, TIME_DIGITS), **columns}))
     t = np.unique(np.concatenate([frame["t"].to_numpy() for frame in frames]))
@@ -110,9 +112,11 @@ def joined(series: Mapping[str, Series]) -> pd.DataFrame:
 
 def unit_of(name: str) -> tuple[str, str, str]:
     """(unit, frame, meaning) of a column of `joined`."""
-    plain = name.removeprefix("capture_")
     if name == "t":
         return ("s", "", "time on the log's clock")
+    plain = name
+    while "_" in plain and not any(plain in known for known in (COLUMNS, QUATERNION_UNITS, UNIT)):
+        plain = plain.split("_", 1)[1]  # a source's name stands before it
     return COLUMNS.get(plain) or QUATERNION_UNITS.get(plain) or (UNIT.get(plain, ""), "", "as logged")
 
 

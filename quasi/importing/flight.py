@@ -178,7 +178,8 @@ def _read_capture(
     series = recording.series["capture"]
     values = {name: column.copy() for name, column in series.values.items()}
     q = series.matrix(QUATERNION)
-    seen = np.isfinite(series.matrix(POSITION_COLUMNS)).all(axis=1)
+    held = [series.matrix(POSITION_COLUMNS), *([] if q is None else [q])]
+    seen = np.isfinite(np.hstack(held)).all(axis=1)
     if seen.any():
         refuse_beyond_rooms(
             series.matrix(POSITION_COLUMNS)[seen], f"{flight['onboard']}: the captured position",
@@ -200,10 +201,11 @@ def _marker(quadrotor: Mapping[str, Any]) -> np.ndarray | None:
 
 
 def _at_cg(series: Series, offset: np.ndarray | None, q: np.ndarray) -> Series:
-    """A capture of markers at `offset` (3,) m, body FRD, brought to the cg by the attitude q (n, 4)."""
+    """A capture of markers at `offset` (3,) m, body FRD, brought to the cg by the attitude q (n, 4); NaN without it."""
     if offset is None or not np.any(offset):
         return series
     moved = series.matrix(POSITION_COLUMNS) - rotate(np.nan_to_num(q, nan=0.5), offset)
+    moved[~np.isfinite(q).all(axis=1)] = np.nan
     return Series(series.t, series.values | {n: moved[:, i] for i, n in enumerate(POSITION_COLUMNS)})
 
 

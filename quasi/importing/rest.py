@@ -52,21 +52,18 @@ def read_rest(
         int(float(poles)) if poles not in (None, "") else None,
     )
     columns: dict[str, np.ndarray] = {}
-    t: np.ndarray | None = None
     speeds = None
-    for name, series in recording.series.items():
-        if not name.startswith("onboard"):
-            continue
-        if t is None and all(n in series.values for n in RATES):
-            t = series.t
-        for wanted in (RATES, FORCE, QUATERNION):
-            if wanted[0] not in columns and all(n in series.values for n in wanted) and t is not None:
-                columns |= {n: _at(t, series.t, series.values[n]) for n in wanted}
-        rotors = [series.values[f"w{i}"] for i in range(1, 9) if f"w{i}" in series.values]
-        if rotors and t is not None:
-            speeds = np.stack([_at(t, series.t, w) for w in rotors], axis=1)
+    onboard = [series for name, series in recording.series.items() if name.startswith("onboard")]
+    t = next((series.t for series in onboard if all(n in series.values for n in RATES)), None)
     if t is None:
         raise DataError(f"{path} holds no body rates (gyro); log them")
+    for series in onboard:
+        for wanted in (RATES, FORCE, QUATERNION):
+            if wanted[0] not in columns and all(n in series.values for n in wanted):
+                columns |= {n: _at(t, series.t, series.values[n]) for n in wanted}
+        rotors = [series.values[f"w{i}"] for i in range(1, 9) if f"w{i}" in series.values]
+        if rotors:
+            speeds = np.stack([_at(t, series.t, w) for w in rotors], axis=1)
     if "qw" in columns:
         columns |= _angles(columns)
     columns = {n: v for n, v in columns.items() if n not in QUATERNION}

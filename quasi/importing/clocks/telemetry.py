@@ -28,6 +28,7 @@ AGES, AGE_STEP = (-0.010, 0.040), 0.001  # s, tried ages of the rotor telemetry,
 NOISE_SHARE = 0.9  # of a combination of columns up to which motion is left: noise itself is known to some percent
 BLOCKS = 12  # pieces of a flight, for the standard error
 LEAST_FLYING = 5.0  # s
+LEAST_CHANGES = 13 * BLOCKS  # samples that differ from the one before: as many as the fit has columns in each piece
 
 
 class Age(NamedTuple):
@@ -49,10 +50,12 @@ def rotor_age(t_rotor: np.ndarray, speeds: np.ndarray, t_gyro: np.ndarray, rates
     Standard error by leaving out each of BLOCKS pieces of the flight in turn (jackknife).
     None where the flight is too short or shows none.
     """
-    if np.count_nonzero(np.isfinite(speeds).all(axis=1)) < 4:
-        return None
+    known = np.isfinite(speeds).all(axis=1)
+    t_rotor, speeds = t_rotor[known], speeds[known]
     # a logger that is faster than the telemetry repeats each value, with its noise
     fresh = np.flatnonzero(np.any(np.diff(speeds, axis=0, prepend=np.nan) != 0.0, axis=1))
+    if len(fresh) < LEAST_CHANGES:
+        return None
     if round(np.median(np.diff(t_rotor[fresh])) / np.median(np.diff(t_rotor))) > 1:
         t_rotor, speeds = t_rotor[fresh], speeds[fresh]
     begin, end = max(t_rotor[0], t_gyro[0]), min(t_rotor[-1], t_gyro[-1])

@@ -79,7 +79,7 @@ def read_crazyflie(path: str | Path, mapping: Mapping[str, Any] | None = None, p
             "ended": log.checksum != "missing",
             "event types": {event.name: {"records": len(event.chunks)} for event in log.types.values()},
             "variables not mapped": _unused(signals.columns, mapping),
-            "reversed": [name for name in REVERSED_PITCH if name in signals.columns],
+            "reversed": [name for name in signals.columns if name.rsplit("/", 1)[-1] in REVERSED_PITCH],
         }
     )
     return Recording(recording.series, recording.metadata, [*map(Caution, log.ending), *recording.notes])
@@ -111,11 +111,9 @@ def _signals(log: EventLog, main: EventType) -> Signals:
             continue
         clocks[event.name], values = event.columns(log.seconds)
         before = "" if event is main else f"{event.name}/"
-        frame = pd.DataFrame({f"{before}{name}": v for name, v in values.items()})
-        for name in REVERSED_PITCH:
-            if name in frame:
-                frame[name] = -frame[name]
-        frames[event.name] = frame
+        frames[event.name] = pd.DataFrame(
+            {f"{before}{name}": -v if name in REVERSED_PITCH else v for name, v in values.items()}
+        )
     return Signals(frames, clocks)
 
 

@@ -86,6 +86,18 @@ class _Type:
         return layout if layout is not None and layout.itemsize + 3 == self.length else None
 
 
+def _text(row: np.void, field: str) -> str:
+    """A field of text; empty where the message has none, or holds a number there."""
+    value = row[field] if field in row.dtype.names else b""
+    return value.decode("latin-1") if isinstance(value, bytes) else ""
+
+
+def _number(row: np.void, field: str) -> float:
+    """A field of one number; NaN where the message has none, or holds text there."""
+    value = row[field] if field in row.dtype.names else np.nan
+    return float(value) if np.isscalar(value) and not isinstance(value, bytes) else np.nan
+
+
 class DataFlashFile:
     """A DataFlash log as named signals."""
 
@@ -121,19 +133,18 @@ class DataFlashFile:
     def _read_units(self) -> None:
         messages = self._messages("FMTU")
         for row in messages if messages is not None else ():
-            kind = self.types.get(int(row["FmtType"])) if "FmtType" in row.dtype.names else None
-            if kind is not None and "UnitIds" in row.dtype.names:
-                kind.units = row["UnitIds"].decode("latin-1")
+            number = _number(row, "FmtType")
+            kind = self.types.get(int(number)) if np.isfinite(number) else None
+            if kind is not None:
+                kind.units = _text(row, "UnitIds")
 
     def _read_parameters(self) -> dict[str, float]:
         messages = self._messages("PARM")
-        if messages is None or not {"Name", "Value"} <= set(messages.dtype.names):
-            return {}
-        return {row["Name"].decode("latin-1"): float(row["Value"]) for row in messages}
+        return {} if messages is None else {_text(row, "Name"): _number(row, "Value") for row in messages}
 
     def _firmware(self) -> str:
         messages = self._messages("MSG")
-        texts = [] if messages is None else [r["Message"].decode("latin-1") for r in messages[:40]]
+        texts = [] if messages is None else [_text(row, "Message") for row in messages[:40]]
         return next((text for text in texts if re.match(r"Ardu|AP[A-Z]", text)), "ArduPilot")
 
     def _motors(self) -> dict[int, int]:
@@ -147,7 +158,8 @@ class DataFlashFile:
 
     def _decode(self, name: str) -> None:
         """Frames and clocks, s, of the messages of a type."""
-        kind, messages = next(k for k in self.types.values() if k.name == name), self._messages(name)
+        kind = next(k for k in self.types.values() if k.name == name and k.at)
+        messages = self._messages(name)
         if messages is None or not {"TimeUS", "TimeMS"} & set(kind.fields):
             return
         clock, scale = ("TimeUS", 1e-6) if "TimeUS" in kind.fields else ("TimeMS", 1e-3)

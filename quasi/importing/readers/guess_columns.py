@@ -164,9 +164,9 @@ def _rotor_columns(table: pd.DataFrame, patterns: tuple[str, ...], avoid: str) -
                 stem = _plain(name)[: found.start("axis")] + "*" + _plain(name)[found.end("axis") :]
                 stems.setdefault(stem, {})[int(found["axis"])] = name
         for places in stems.values():
-            for first in (1, 0):
-                if all(first + k in places for k in range(4)):
-                    return [places[first + k] for k in range(4)]
+            first = min(places)
+            if first in (0, 1) and all(first + k in places for k in range(4)):
+                return [places[first + k] for k in range(4)]
     return None
 
 

@@ -1,6 +1,7 @@
 """One source of a log: its columns become standard quantities, units and axes on a clock of their own."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,7 @@ from quasi.importing.checks.rotor_speeds import clean_rotor_speeds
 from quasi.importing.clocks.table_clocks import in_long_runs, uncrowded
 from quasi.importing.command_units import scale_commands
 from quasi.importing.readers.signals import Signals
-from quasi.importing.readers.table_mapping import EULER_ANGLES, QUATERNION, VECTOR_COLUMNS, Source
+from quasi.importing.readers.table_mapping import EULER_ANGLES, MAPPED_ROTORS, QUATERNION, VECTOR_COLUMNS, Source
 from quasi.importing.streams import unwrapped
 
 HALF_TURN = np.array([1.0, -1.0, -1.0])  # half a turn about x: FLU to FRD, z-up to NED
@@ -98,6 +99,43 @@ def _group_of(source: Source, signals: Signals, known: Sequence[str], path: Path
     return next(iter(found))
 
 
+MEASURED_TOGETHER = {
+    **VECTOR_COLUMNS, "attitude": QUATERNION, "angles": EULER_ANGLES,
+    "rotor speeds": tuple(f"w{i}" for i in MAPPED_ROTORS), "commands": tuple(f"command{i}" for i in MAPPED_ROTORS),
+}  # fmt: skip
+
+
+def sampled_apart(source: Source, signals: Signals, known: Sequence[str], path: Path) -> list[Source]:
+    """The source without what most of its rows leave blank, and one source for each of these groups of quantities.
+
+    A table at the rate of the gyro holds slower telemetry in every second or fifth row. A capture stays whole.
+    """
+    if source.capture:
+        return [source]
+    table = signals.frames[_group_of(source, signals, known, path)]
+    apart = []
+    for label, members in MEASURED_TOGETHER.items():
+        own = {m: source.columns[m] for m in members if m in source.columns}
+        found = [next((a for a in column.aliases if a in table.columns), None) for column in own.values()]
+        if not own or any(isinstance(table[name], pd.DataFrame) for name in found if name):
+            continue
+        held = [numbers_of_column(table[name], path, name, []) for name in found if name]
+        if held and _is_interleaved(np.isfinite(held).any(axis=0)):
+            apart.append(replace(source, name=f"{source.name} {label}", columns=own))
+    taken = {m for one in apart for m in one.columns}
+    rest = {m: column for m, column in source.columns.items() if m not in taken}
+    if apart and not any(name in table.columns for column in rest.values() for name in column.aliases):
+        # nothing remains under the source's name: the first group keeps it
+        return [replace(source, columns=rest | apart[0].columns), *apart[1:]]
+    return [replace(source, columns=rest), *apart]
+
+
+def _is_interleaved(held: np.ndarray) -> bool:
+    """Whether most of the rows that hold something (n,) bool have blank ones between them."""
+    rows = np.flatnonzero(held)
+    return len(rows) > LEAST_ROWS and bool(np.median(np.diff(rows)) > 1)
+
+
 class MappedSource:
     """One source on its way from the log's columns to a series; each step changes it."""
 
@@ -160,6 +198,9 @@ class MappedSource:
         ahead = np.fmax.accumulate(np.where(known, clock, -np.inf))
         before = np.concatenate([[-np.inf], ahead[:-1]])
         new = known & (clock > before)
+        if self.values and not self.source.capture:
+            held_any = np.isfinite(list(self.values.values())).any(axis=0)
+            new &= held_any | (not _is_interleaved(held_any))
         repeated = known & (clock == before)
         back = known & (clock < before)
         if np.count_nonzero(back) > 0.2 * len(clock):
@@ -332,6 +373,11 @@ class MappedSource:
                 )
             q = holder.matrix(QUATERNION)
             fine = np.isfinite(q).all(axis=-1)
+            if np.count_nonzero(fine) < LEAST_ROWS:
+                raise ReadError(
+                    f"{path}: ax, ay, az are in world axes, and the on-board attitude that turns them has "
+                    f"{np.count_nonzero(fine)} usable samples; map an attitude that was estimated in this flight"
+                )
             at = interpolate(q[fine], holder.t[fine], self.t)
             force = rotate_inverse(at, self.matrix(VECTOR_COLUMNS["force"]))
             self.values |= {n: force[:, i] for i, n in enumerate(VECTOR_COLUMNS["force"])}

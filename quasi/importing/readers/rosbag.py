@@ -13,6 +13,7 @@ import re
 from array import array
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from contextlib import contextmanager
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -33,6 +34,7 @@ NUMBER_TYPES = {"bool", "float32", "float64", "int16", "int32", "int64", "uint16
 TIME_TYPES = {"builtin_interfaces/msg/Time", "builtin_interfaces/msg/Duration"}
 TYPE_NAME = r"[A-Za-z][A-Za-z0-9_]*(/[A-Za-z][A-Za-z0-9_]*)+"
 MOTORS = 8
+FIRST_MESSAGES = 100  # of a topic, in which a list that begins empty (joints before the motors start) may fill
 
 _CAPTURES = r"mocap|vrpn|vicon|optitrack|natnet|qualisys|qtm|motion_capture|ground_?truth"
 _ESTIMATES = r"local_position|odom|estimat|ekf|fused|filtered"
@@ -145,10 +147,14 @@ class Bag:
             for name in sorted({c.topic for c in reader.connections}):
                 own = [c for c in reader.connections if c.topic == name]
                 samples = sum(c.msgcount for c in own)
-                first = next(self._decoded(reader, own), None) if samples else None
-                if samples and first is None:
+                getters, decoded = {}, False
+                for _, _, message in islice(self._decoded(reader, own), FIRST_MESSAGES if samples else 0):
+                    decoded, empty = True, []
+                    getters |= _getters(reader.typestore.fielddefs, own[0].msgtype, message, empty)
+                    if not empty:
+                        break
+                if samples and not decoded:
                     unknown.append(f"{name} ({own[0].msgtype})")
-                getters = _getters(reader.typestore.fielddefs, own[0].msgtype, first[2]) if first else {}
                 self.getters[name] = {f"{name}.{column}": getter for column, getter in getters.items()}
                 self.topics[name] = Topic(own[0].msgtype, tuple(self.getters[name]), samples, seconds)
             version = "2" if reader.is2 else "1"
@@ -265,8 +271,10 @@ def _remedy(path: Path, reason: str) -> str:
     return f"if the recording was cut off, {repair} may save what is in it; else copy it again"
 
 
-def _getters(definitions: Mapping[str, Any], kind: str, message: Any, depth: int = 0) -> dict[str, Getter]:
-    """{field: function of the message} for every number in it; lists have the lengths of the first message."""
+def _getters(
+    definitions: Mapping[str, Any], kind: str, message: Any, empty: list[str], depth: int = 0
+) -> dict[str, Getter]:
+    """{field: function of the message} for every number in it; lists are as long as here, `empty` gains empty ones."""
     found: dict[str, Getter] = {}
     for name, (node, detail) in definitions[kind][1]:
         value, get = getattr(message, name, None), operator.attrgetter(name)
@@ -275,16 +283,17 @@ def _getters(definitions: Mapping[str, Any], kind: str, message: Any, depth: int
         elif node.name == "NAME" and detail in TIME_TYPES:
             found[name] = _seconds_of(get)
         elif node.name == "NAME" and depth < 6:
-            inner = _getters(definitions, detail, value, depth + 1)
+            inner = _getters(definitions, detail, value, empty, depth + 1)
             found |= {f"{name}.{column}": _chain(get, getter) for column, getter in inner.items()}
         elif node.name in ("ARRAY", "SEQUENCE") and value is not None and len(value) <= LONGEST_SEQUENCE:
             (element, about), _ = detail
+            empty += [] if len(value) else [name]
             for i in range(len(value)):
                 entry = _entry(get, i)
                 if element.name == "BASE" and about[0] in NUMBER_TYPES - BYTES:
                     found[f"{name}[{i}]"] = _number_of(entry)
                 elif element.name == "NAME" and depth < 6:
-                    inner = _getters(definitions, about, value[i], depth + 1)
+                    inner = _getters(definitions, about, value[i], empty, depth + 1)
                     found |= {f"{name}[{i}].{column}": _chain(entry, getter) for column, getter in inner.items()}
     return found
 

@@ -16,7 +16,13 @@ from quasi.errors import ReadError, add_caution
 from quasi.importing.clocks.table_clocks import correct_source_lags, rows_possibly_at_rest
 from quasi.importing.contradictions import doubtful_units, doubtful_values
 from quasi.importing.readers.arrays import read_arrays
-from quasi.importing.readers.mapped_source import LEAST_ROWS, MappedSource, missing_column, times_of_column
+from quasi.importing.readers.mapped_source import (
+    LEAST_ROWS,
+    MappedSource,
+    missing_column,
+    sampled_apart,
+    times_of_column,
+)
 from quasi.importing.readers.reader import TEXT, Reader, Request
 from quasi.importing.readers.signals import Signals
 from quasi.importing.readers.table_mapping import EULER_ANGLES, QUATERNION, VECTOR_COLUMNS, TableMapping, read_mapping
@@ -78,7 +84,8 @@ def read_signals(
     Returns and raises as `read_table_log`.
     """
     known = known or signals.columns
-    raw = [MappedSource(source, signals, known, path, notes) for source in plan.sources]
+    sources = [one for source in plan.sources for one in sampled_apart(source, signals, known, path)]
+    raw = [MappedSource(source, signals, known, path, notes) for source in sources]
     main = _main_source(raw, path)
     rows = _row_times(signals, plan, raw, path, notes)
     about: dict[str, Any] = {}
