@@ -154,7 +154,7 @@ def plan_of(
 
     os.environ.setdefault("OMP_NUM_THREADS", "1")  # many small matrices: threads would only wait for each other
 
-    from quasi.gap.catalogue import catalogue, chosen
+    from quasi.gap.catalogue import catalogue, chosen, in_room
     from quasi.gap.effect import room_of
     from quasi.gap.planning import flight_card
     from quasi.gap.planning.plan import examine
@@ -170,6 +170,7 @@ def plan_of(
         settings = asked["settings"]
         effects = chosen(settings["effects"], catalogue(directory / p for p in asked["effect files"]), asked["file"])
         room, rate, noise = room_of(settings["room"]), settings["false alarm rate"], noise_of(gap, directory)
+    effects = in_room(effects, room)
     card = examine(flown, used, effects, flights, references, rate, noise, metadata=about, room=room)
     text = flight_card.text(card)
     if out is not None:

@@ -3,13 +3,14 @@
 import importlib
 import pkgutil
 from collections.abc import Iterable, Mapping
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from quasi.errors import ConfigError, DataError, QuasiError, nearest
 from quasi.gap import causes
-from quasi.gap.effect import Effect, Terms, Values, Vehicle
+from quasi.gap.effect import Effect, Room, Terms, Values, Vehicle, as_flown
 from quasi.gap.flights.evidence import Evidence
 from quasi.gap.own_effect import effect_of
 from quasi.model.model import AXES
@@ -52,6 +53,15 @@ def chosen(wanted: str | Iterable[str], offered: Mapping[str, Effect], where: st
         if name not in offered:
             raise ConfigError(f"{where}: effect '{name}' is not in the catalogue{nearest(name, offered)}")
     return {name: offered[name] for name in wanted}
+
+
+def in_room(effects: Mapping[str, Effect], room: Room | None) -> dict[str, Effect]:
+    """The causes as far as a room has what they need: without its height nothing is known of a ceiling."""
+    found = dict(effects)
+    if room is not None and room.height is None and "proximity" in found:
+        walls = {n: p for n, p in found["proximity"].parameters.items() if n != "ceiling"}
+        found["proximity"] = replace(found["proximity"], parameters=walls)
+    return found
 
 
 def columns_of(effect: Effect, evidence: Evidence, vehicle: Vehicle, values: Values) -> dict[str, np.ndarray]:
@@ -108,6 +118,11 @@ def corrected(evidence: Evidence, effects: Mapping[str, Effect], values: Mapping
     return evidence
 
 
+def in_columns(effect: Effect, values: Values, flown: Vehicle) -> Values:
+    """What the columns of a cause are multiplied by where it has these deviations. flown  see `effect.as_flown`"""
+    return effect.apparent(values, flown) if effect.apparent and values else values
+
+
 def whole_of(effect: Effect, evidence: Evidence, vehicle: Vehicle, values: Values) -> np.ndarray:
     """All that a cause of these deviations adds to the residual (n, 6)."""
     full = dict.fromkeys(effect.parameters, 0.0) | dict(values)
@@ -123,6 +138,7 @@ def whole_of(effect: Effect, evidence: Evidence, vehicle: Vehicle, values: Value
             )
         return made
     columns = columns_of(effect, evidence, vehicle, dict.fromkeys(effect.parameters, 0.0))
+    values = in_columns(effect, values, as_flown(vehicle, [evidence]) if effect.apparent else vehicle)
     return sum((columns[name] * value for name, value in values.items()), np.zeros((len(evidence), 6)))
 
 

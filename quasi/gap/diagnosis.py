@@ -10,6 +10,7 @@ import pandas as pd
 
 from quasi.errors import DataError
 from quasi.gap.base_model import Worth, worth_of
+from quasi.gap.catalogue import in_room
 from quasi.gap.constant_loads import constant_force_ties, in_ties
 from quasi.gap.effect import Effect, as_flown, room_of, vehicle_of
 from quasi.gap.entries import (
@@ -95,7 +96,8 @@ def diagnose(
     lost         sentences on flights that could not be used
     references   "given", "training" where flights that made the model stand for reference flights, "none"
     """
-    vehicle, share = vehicle_of(model, room=room_of(settings["room"])), settings["material share"]
+    room, share = room_of(settings["room"]), settings["material share"]
+    vehicle, effects = vehicle_of(model, room=room), in_room(effects, room)
     base = worth_of(model, [e for k, e in evidence.items() if roles[k] == "reference"])
     positions = tuple(AXES.index(a) for a in base.excluded)
     sessions = settings.get("sessions") or {}

@@ -195,22 +195,21 @@ class Effect:
                   "one" a single one, the likeliest; "led" the first, and where that is there each other;
                   "paired" as "any" of the first half, each of the second half only where its partner is there
     exact         (deviations of the linear fit, vehicle as flown) -> deviations, where the cause divides by its own
-                  parameter: its columns hold the model's wrench, which the true mass or inertia would have turned into
-                  other accelerations
+                  parameter: the true mass or inertia would have turned the model's wrench into other accelerations
+    apparent      its inverse: what the columns are multiplied by
     reported      (deviations, standard errors) -> {name: Size} to report instead of the parameters that are fitted
-    starts        sizes of the one parameter of a cause that bends so much that its slope at nothing hardly shows it: it
-                  is looked for by the whole effect of the likeliest, see `quasi.gap.levels.forces.nonlinear`
+    starts        sizes of the one parameter of a cause whose slope at nothing hardly shows it: it is looked for by the
+                  whole effect of the likeliest, see `quasi.gap.levels.forces.nonlinear`
     sized_by      axes whose measured wrench sizes it, where a model knows the others too badly; all where empty
-    sums          vehicle -> [({parameter: weight}, least)]: weighted sums of the deviations that cannot be less, where
-                  what is physical is no range of each
+    sums          vehicle -> [({parameter: weight}, least)]: weighted sums of the deviations that cannot be less
     always_tied_with     ids that differ from it by less than the errors of a model: always a tie with them
     absorbed_by_model    whether the model's own terms can mimic it exactly: only a change between flights shows it
     absent_when_healthy  whether a sound vehicle in still air, far from obstacles, has none of it: what a model's terms
                   lack of such a vehicle does not look like it
     form_uncertainty  share to which sizes are known at best, for its form follows what happens only roughly
     sensor        what is known of a fault of a sensor; only of sensors
-    corrects      (part, quantity) of a calibration that import corrects it by, in the order of its parameters
-    finding       a stated finding, never fitted
+    corrects      (part, quantity) of a calibration that import corrects it by, in the order of its parameters; finding
+                  is stated, never fitted
     """
 
     id: str
@@ -229,6 +228,7 @@ class Effect:
     corrected: Callable[[Evidence, Values], Evidence] | None = None
     extension: Callable[[Values, Vehicle, Model], Extension] | None = None
     exact: Callable[[Values, Vehicle], Values] | None = None
+    apparent: Callable[[Values, Vehicle], Values] | None = None
     reported: Callable[[Values, Values], dict[str, Size]] | None = None
     starts: tuple[float, ...] = ()
     sized_by: tuple[str, ...] = ()

@@ -47,7 +47,7 @@ def extend(
     A cause that is given twice, for what all flights have and for what is new, acts once, by both together.
     Raises ConfigError for a cause that this model cannot carry, by name.
     """
-    causes = _joined(causes)
+    causes = joined(causes)
     document = copy.deepcopy(model.document)
     document["id"] = name
     # what an earlier gap found stays: a model that is extended already is extended further
@@ -106,7 +106,7 @@ def extend(
     return document
 
 
-def _joined(causes: Sequence[tuple[Effect, Values]]) -> list[tuple[Effect, Values]]:
+def joined(causes: Sequence[tuple[Effect, Values]]) -> list[tuple[Effect, Values]]:
     """Each cause once: deviations add up; constants of the drive that are stated as they are stand for both."""
     found: dict[str, tuple[Effect, dict[str, float]]] = {}
     for effect, values in causes:

@@ -87,9 +87,10 @@ def losses(
 
 
 def wrench_pairs(models: Sequence[Model], base: Model, held: Sequence[Evidence]) -> list[tuple[Squares, ...]]:
-    """Squared errors of forces and moments under some models, with constant errors and without."""
+    """Squared errors of forces and moments under some models, with constant errors and without; excluded axes 0."""
     left = [before if model is base else after(model, base) for model in models]
-    return [tuple(wrench_squares(held, residual, centred) for residual in left) for centred in (False, True)]
+    heard = [lambda flight, of=of: flight.heard(of(flight)) for of in left]
+    return [tuple(wrench_squares(held, residual, centred) for residual in heard) for centred in (False, True)]
 
 
 def simulated_rows(
@@ -131,8 +132,8 @@ def correction_matters(
 def removed_shares(old: Squares, new: Squares) -> list[tuple[float, float, float]]:
     """The share of each axis's squared error that goes, and the ends of its 95 % interval."""
     drawn = blocks.drawn(old.flight, old.t, np.stack([old.values, new.values], axis=1))
-    shares = 1.0 - new.mean() / np.maximum(old.mean(), 1e-300)
-    share_of = 1.0 - drawn.sums[:, 1] / np.maximum(drawn.sums[:, 0], 1e-300)
+    shares = (old.mean() - new.mean()) / np.maximum(old.mean(), 1e-300)
+    share_of = (drawn.sums[:, 0] - drawn.sums[:, 1]) / np.maximum(drawn.sums[:, 0], 1e-300)
     return [(share, *blocks.interval(share, share_of[:, k], drawn.wider)) for k, share in enumerate(shares.tolist())]
 
 

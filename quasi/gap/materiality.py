@@ -117,7 +117,8 @@ def material(
                 local = within(without.errors, there).mean() - within(whole.errors, there).mean()
                 part = max(part, float((local / _removable(within(old, there), floor, "changed"))[own].max()))
             # a form that is not quite right may make a flight less likely although it takes the error away
-            better = without.unlikely > whole.unlikely or np.log(last / first)[own].sum() < 0.0
+            fallen = np.log(np.maximum(last, 1e-300) / np.maximum(first, 1e-300))
+            better = without.unlikely > whole.unlikely or fallen[own].sum() < 0.0
             worth.append(part if better else min(part, 0.0))
         poor = [w if c not in unjudged else np.inf for c, w in zip(kept, worth)]
         if min(poor) >= share:
@@ -254,9 +255,11 @@ def seen_in(effect: Effect) -> list[int]:
 
 
 def _removable(old: Score, floor: np.ndarray, since: str) -> np.ndarray:
-    """Error (6,) above the floor; infinite where that is too small a part to speak of, but for single causes."""
+    """Error (6,) above the floor; infinite where that is too small a part to speak of, but for single causes, and on
+    excluded axes, which have no error."""
     gone, small = np.maximum(old.mean() - floor, 0.0), LEAST_ABOVE_FLOOR[since] * old.mean()
-    return np.where(gone > small, gone, small if since in ("changed", "foreign") else np.inf)
+    least = np.where(small > 0.0, small if since in ("changed", "foreign") else np.inf, np.inf)
+    return np.where(gone > small, gone, least)
 
 
 class LinearErrors(NamedTuple):

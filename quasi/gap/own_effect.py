@@ -117,6 +117,7 @@ def effect_of(path: Path) -> Effect:
     if problem:
         raise ConfigError(f"effect file {path}: effect '{effect.id}': {problem}; correct the file")
     own = {word: getattr(effect, word) for word in FUNCTIONS if getattr(effect, word) is not None}
+    effect = replace(effect, channels=effect.channels or AXES)  # none named: it may show in all
     return replace(effect, **{word: _guarded(f, f"effect file {path}, {word}") for word, f in own.items()})
 
 

@@ -86,7 +86,8 @@ def _raise_polynomial(poly: dict, exponent: float) -> dict:
 
 
 def _is_even(atom: tuple, exponent: float) -> bool:
-    return exponent % 2 == 0 or (atom[0] == "name" and atom[1].startswith("|"))
+    # of a sum in brackets there is no size to take the root of
+    return (exponent % 2 == 0 and atom[0] == "name") or (atom[0] == "name" and atom[1].startswith("|"))
 
 
 def _make_absolute(atom: tuple) -> tuple:

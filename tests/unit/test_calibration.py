@@ -105,7 +105,7 @@ def test_of_a_tie_the_settled_member_is_corrected_else_the_first_with_a_note():
     turn = {n: {"value": 0.02} for n in ("roll", "pitch", "yaw")}
     tie = {"ids": ["imu_misalignment", "mocap_misalignment"], "since": "always",
            "parameters": {"imu_misalignment": turn, "mocap_misalignment": turn}}  # fmt: skip
-    whole = corrections.document([Level("sensors", ties=[tie])], settled=["mocap_misalignment"])
+    whole = corrections.document([Level("sensors", ties=[tie])], settled=("mocap_misalignment", tie["since"]))
     assert list(whole["compared"]) == ["capture"]
     assert not whole["notes"]
     whole = corrections.document([Level("sensors", ties=[tie])])
@@ -140,7 +140,7 @@ def test_eight_faults_at_once_are_told_from_raw_logs_and_gone_when_these_are_pro
         for name, truth in parameters.items():
             value, std = found[cause][name]["value"], found[cause][name]["std"]
             assert abs(value - truth) < 4.0 * std, (cause, name, value, std, truth)
-    whole = corrections.document([sensors, drive], settled=["telemetry_delay"])
+    whole = corrections.document([sensors, drive], settled=("telemetry_delay", late["since"]))
     sensors, drive = levels(corrections.for_flight(whole, True))
     assert not sensors.effects
     assert not sensors.ties

@@ -60,6 +60,14 @@ def _exact(values: Values, vehicle: Vehicle) -> Values:
     return {name: float(true[ENTRIES[name]]) * (1.0 if name in DIAGONAL else -1.0) for name in values}
 
 
+def _apparent(values: Values, vehicle: Vehicle) -> Values:
+    true = vehicle.inertia + sum(value * change(name) for name, value in values.items())
+    if np.linalg.eigvalsh(true).min() <= 0.0:
+        return values
+    fitted = vehicle.inertia - vehicle.inertia @ np.linalg.solve(true, vehicle.inertia)
+    return {name: float(fitted[ENTRIES[name]]) * (1.0 if name in DIAGONAL else -1.0) for name in values}
+
+
 def _extension(values: Values, vehicle: Vehicle, _: Model) -> Extension:
     tensor = vehicle.inertia + sum(values[name] * change(name) for name in ENTRIES)
     return Extension(airframe={"inertia": tensor.tolist()})
@@ -81,6 +89,7 @@ EFFECT = Effect(
     columns=_columns,
     extension=_extension,
     exact=_exact,
+    apparent=_apparent,
     sums=_body,
     parts="paired",  # products alone are no other mass distribution, but most often the error of another form
     absorbed_by_model=True,

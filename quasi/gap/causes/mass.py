@@ -19,6 +19,10 @@ def _exact(values: Values, vehicle: Vehicle) -> Values:
     return {"mass": own * found / (own - found)}
 
 
+def _apparent(values: Values, vehicle: Vehicle) -> Values:
+    return {"mass": vehicle.mass * values["mass"] / (vehicle.mass + values["mass"])}
+
+
 def _extension(values: Values, vehicle: Vehicle, _: Model) -> Extension:
     return Extension(airframe={"mass": vehicle.mass + values["mass"]})
 
@@ -36,5 +40,6 @@ EFFECT = Effect(
     columns=_columns,
     extension=_extension,
     exact=_exact,
+    apparent=_apparent,
     absorbed_by_model=True,
 )

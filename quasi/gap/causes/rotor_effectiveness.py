@@ -81,7 +81,7 @@ def _extension(values: Values, vehicle: Vehicle, model: Model) -> Extension:
     """The model's own terms of thrust at the speeds that the rotors act with, in place of those at logged speeds.
 
     A trial beyond what is physical acts as its limit: no speed has a square below zero."""
-    shares = np.clip([1.0 + values.get(f"rotor{i}", 0.0) for i in NUMBERS], LOWEST, HIGHEST)
+    shares = np.maximum([1.0 + values.get(f"rotor{i}", 0.0) for i in NUMBERS], LOWEST)
     effective = _effective_speeds(model.airframe, shares)
     terms: dict[str, list[tuple[str, float]]] = {}
     for i in NUMBERS:

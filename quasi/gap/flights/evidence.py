@@ -61,6 +61,10 @@ class Evidence:
         """What the model leaves of the measured wrench (n, 6)."""
         return self.measured - self.predicted
 
+    def heard(self, wrench: np.ndarray) -> np.ndarray:
+        """A wrench (n, 6) or its columns (n, 6, P) without the excluded axes, which are 0."""
+        return np.where(np.isin(np.arange(6), self.excluded).reshape(6, *[1] * (wrench.ndim - 2)), 0.0, wrench)
+
     @property
     def t(self) -> np.ndarray:
         """Time, s (n,)."""

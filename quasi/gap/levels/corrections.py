@@ -30,11 +30,11 @@ def uncorrected(cause: str, level: str) -> bool:
     return level == "sensors" and cause not in CORRECTS
 
 
-def document(levels: Sequence[Level], settled: Sequence[str] = ()) -> dict[str, Any]:
+def document(levels: Sequence[Level], settled: tuple[str, str] | None = None) -> dict[str, Any]:
     """The calibration of a comparison: plain data, to be written and read by import through `for_flight`.
 
-    levels   K and A; settled  members of ties that something else (the wrench) has decided for. Of a tie of which no
-             member is settled the first is corrected, and a note says so
+    levels   sensors and drive; settled  (cause, since) of the tie that something else (the wrench) decides. Of every
+             other tie the first cause is corrected, and a note says so
     Returns  {"schema", "compared": parts, "reference": parts, "causes": [...], "notes": [...]}
     """
     found: list[tuple[str, str, Mapping[str, Any]]] = []
@@ -42,7 +42,7 @@ def document(levels: Sequence[Level], settled: Sequence[str] = ()) -> dict[str, 
     for level in levels:
         found += [(e["id"], e["since"], e["parameters"]) for e in level.effects]
         for tie in level.ties:
-            decided = [i for i in tie["ids"] if i in settled]
+            decided = [i for i in tie["ids"] if (i, tie["since"]) == settled]
             taken = decided[0] if decided else tie["ids"][0]
             if taken in CORRECTS and not decided:
                 notes.append(

@@ -36,6 +36,7 @@ def report_selection(
                 "p": test.p,
                 "wald": test.wald,
                 "share of resamples": reproducibility[offers[0]],
+                "evidence": dict(more(offers[0])),
             }
         )
     for offer in (named.test.offer for named in selection.named):

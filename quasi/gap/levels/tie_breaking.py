@@ -67,9 +67,9 @@ def settle(
             continue
         try:
             if set(tie["ids"]) == LATE:
-                left = compare_late(levels, tie, winners, flights, model, process)
+                left = compare_late(levels, tie, flights, model, process)
             else:
-                left = compare(levels, tie["ids"], winners, flights, model, process)
+                left = compare(levels, tie, flights, model, process)
         except (ConfigError, DataError) as error:
             level.notes.append(f"{names} stay a tie: {error}")
             continue
@@ -119,20 +119,19 @@ def judged(left: np.ndarray) -> tuple[int, np.ndarray, float]:
 
 
 def compare(
-    levels: Sequence[Level], ids: Sequence[str], settled: Sequence[str], flights: Sequence[Flown], model: Model,
-    process: Process,
-) -> np.ndarray:  # fmt: skip
+    levels: Sequence[Level], tie: Mapping[str, Any], flights: Sequence[Flown], model: Model, process: Process
+) -> np.ndarray:
     """Whitened squared errors (F, 2) that the model leaves of the compared flights, corrected for either cause.
 
     Of two whiteners, one from each hypothesis, that counts with which they differ least.
     Raises DataError when the flights cannot be compared.
     """
     kind = {}
-    for cause in ids:
-        whole = document(levels, [*settled, cause])
+    for cause in tie["ids"]:
+        whole = document(levels, (cause, tie["since"]))
         wanted = [for_flight(whole, f.compared) for f in flights]
         kind[cause] = [f if c is None else process(f, c) for f, c in zip(flights, wanted)]
-    studies = _studies([kind[c] for c in ids], model)
+    studies = _studies([kind[c] for c in tie["ids"]], model)
     compared = np.array([f.compared for f in flights])
     rows = np.min([[len(part.rows) for part in s.thinned] for s in studies], axis=0)[:, None]
     both = [(rows * np.stack([_left(s, by.whitener, compared) for s in studies], axis=1))[compared] for by in studies]
@@ -140,15 +139,14 @@ def compare(
 
 
 def compare_late(
-    levels: Sequence[Level], tie: Mapping[str, Any], settled: Sequence[str], flights: Sequence[Flown], model: Model,
-    process: Process,
-) -> np.ndarray:  # fmt: skip
+    levels: Sequence[Level], tie: Mapping[str, Any], flights: Sequence[Flown], model: Model, process: Process
+) -> np.ndarray:
     """As `compare`, of late telemetry and late commands: with the logged speeds taken as late as the tie says, and not.
 
     Raises DataError when the flights cannot be compared.
     """
     without = [replace(lv, ties=[t for t in lv.ties if t is not tie]) for lv in levels]
-    whole = document(without, settled)
+    whole = document(without)
     wanted = [for_flight(whole, f.compared) for f in flights]
     (study,) = _studies([[f if c is None else process(f, c) for f, c in zip(flights, wanted)]], model)
     compared = np.array([f.compared for f in flights])

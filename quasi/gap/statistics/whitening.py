@@ -62,7 +62,7 @@ def thin(columns: np.ndarray, breaks: np.ndarray, t: np.ndarray, band: float, le
 def autoregression(residuals: Sequence[np.ndarray], breaks: Sequence[np.ndarray], order: int) -> Whitener:
     """One autoregression per channel for all flights. residuals (n, C) per flight, breaks (n,) bool per flight."""
     channels = residuals[0].shape[1]
-    coefficients, scale = np.ones((channels, order + 1)), np.ones(channels)
+    coefficients, scale = np.tile(np.eye(1, order + 1), (channels, 1)), np.ones(channels)
     for c in range(channels):
         covariance, rows = np.zeros(order + 1), 0
         for residual, gaps in zip(residuals, breaks):

@@ -8,8 +8,8 @@ from typing import NamedTuple
 import numpy as np
 
 from quasi.errors import DataError, ExpressionError
-from quasi.gap.catalogue import beyond_slope, columns_of, corrected
-from quasi.gap.effect import Effect, Vehicle
+from quasi.gap.catalogue import beyond_slope, columns_of, corrected, in_columns
+from quasi.gap.effect import Effect, Vehicle, as_flown, vehicle_of
 from quasi.gap.flights.evidence import Evidence
 from quasi.gap.flights.sessions import units
 from quasi.gap.levels.forces.nuisance import SEATED, nuisances, session_nuisances
@@ -66,6 +66,11 @@ class Design(NamedTuple):
             [in_stretches(self.blocks[f], len(use)) for f in use], compared, self.columns, prior, sessions
         )
 
+    def flown(self, compared: Sequence[bool]) -> Vehicle:
+        """The vehicle as the compared flights were processed."""
+        flights = [flight for flight, flag in zip(self.flights, compared) if flag]
+        return as_flown(vehicle_of(self.flights[0].model), flights)
+
     def witnessed(self, use: Sequence[int], compared: Sequence[bool]) -> ClusteredMixedModel:
         """The mixed model of some of the flights that names causes."""
         sessions = [self.flights[f].session for f in use]
@@ -94,7 +99,10 @@ def refit_with(
     study: Design, compared: Sequence[bool], pairs: Sequence[tuple[Cause, Mapping[str, float]]]
 ) -> np.ndarray:
     """`refit` to all flights of a design, with causes and their deviations by name."""
-    values = {(c.effect.id, c.since): {c.effect.fitted.index(n): x for n, x in v.items()} for c, v in pairs}
+    flown, values = study.flown(compared), {}
+    for cause, deviations in pairs:
+        sizes = in_columns(cause.effect, deviations, flown)
+        values[cause.effect.id, cause.since] = {cause.effect.fitted.index(n): x for n, x in sizes.items()}
     return refit(study, range(len(compared)), compared, values)
 
 

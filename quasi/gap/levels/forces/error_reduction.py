@@ -52,8 +52,8 @@ def wrench_squares(
 def wrench_score(
     flights: Sequence[Evidence], residual: Callable[[Evidence], np.ndarray], centred: bool = False
 ) -> Score:
-    """`wrench_squares` by blocks."""
-    return scored_in_blocks(wrench_squares(flights, residual, centred))
+    """`wrench_squares` by blocks, as judges have it: excluded axes have no error."""
+    return scored_in_blocks(wrench_squares(flights, lambda flight: flight.heard(residual(flight)), centred))
 
 
 def scored_in_blocks(found: Squares) -> Score:
@@ -94,7 +94,7 @@ class Likelihood:
         return total
 
     def _white(self, flight: Evidence, columns: np.ndarray) -> np.ndarray:
-        part = thin(columns, flight.breaks, flight.t, BAND, 2 * ORDER)
+        part = thin(flight.heard(columns), flight.breaks, flight.t, BAND, 2 * ORDER)
         return whiten(part.columns, part.breaks, self.whitener)[0].reshape(-1, columns.shape[2])
 
 

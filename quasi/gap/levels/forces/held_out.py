@@ -14,7 +14,7 @@ from quasi.gap.levels.forces.case import Case
 from quasi.gap.levels.forces.design import Design, base_columns, moved, refit, refit_with
 from quasi.gap.levels.forces.error_reduction import Likelihood, after, before, wrench_score
 from quasi.gap.levels.forces.left_out import LeftOut
-from quasi.gap.levels.forces.search import Sought
+from quasi.gap.levels.forces.search import Sought, estimate
 from quasi.gap.materiality import ASIDE, LACKING, Cause, Common, Deviations, Judged, seen_in
 from quasi.gap.statistics.blocks import HOLDS
 from quasi.gap.statistics.scores import Score, joined
@@ -44,8 +44,8 @@ class HeldOut:
         self._asked, self._values = asked, sought.values[True]
         self.floor = self._least(held, self.old)
 
-    def _least(self, flights: Sequence[Evidence], old: Score) -> np.ndarray:
-        return least_left(self.study, self._asked, self.vehicle, self.compared, self._values, flights, old)
+    def _least(self, flights: Sequence[Evidence], old: Score, centred: bool = False) -> np.ndarray:
+        return least_left(self.study, self._asked, self.vehicle, self.compared, self._values, flights, old, centred)
 
     def made(self, causes: Sequence[Cause], ident: str, fitted_anew: bool) -> dict[str, Any]:
         """The document of the model with some causes, its own terms fitted anew to the flights that learn or not."""
@@ -83,11 +83,11 @@ class HeldOut:
         if not self.compared.all():
             share = max(self.share, ASIDE)
             return Common(lambda of, again: self.score(of, again).centred, self.old, self.floor, share)
-        in_turn = LeftOut(self.study, self.compared)
-        old = joined(self.old, in_turn([], False))
+        in_turn, every = LeftOut(self.study, self.compared), [*self.held, *self.flights]
+        old = joined(wrench_score(self.held, before, True), in_turn([], False))
         return Common(
             lambda of, again: joined(self.score(of, again).centred, in_turn(of, again)), old,
-            self._least([*self.held, *self.flights], old), LACKING * self.share, made_of(self.model, self.flights),
+            self._least(every, old, True), LACKING * self.share, made_of(self.model, self.flights),
             self.share,
         )  # fmt: skip
 
@@ -100,12 +100,15 @@ def made_of(model: Model, flights: Sequence[Evidence]) -> bool:
 
 def least_left(
     study: Design, asked: Mapping[str, Effect], vehicle: Vehicle, compared: np.ndarray,
-    values: Mapping[str, Deviations], held: Sequence[Evidence], old: Score,
+    values: Mapping[str, Deviations], held: Sequence[Evidence], old: Score, centred: bool = False,
 ) -> np.ndarray:  # fmt: skip
-    """Mean square (6,) that the model's terms and all causes together, fitted to the other flights, leave at best."""
+    """Mean square (6,) that the model's terms and all causes together, fitted to the other flights, leave at best.
+
+    old  before; centred  whether each flight's mean is taken off, there as well
+    """
     least = old.mean()
     for ridge in RIDGES:
-        left = wrench_score(held, everything(study, asked, vehicle, compared, values, ridge))
+        left = wrench_score(held, everything(study, asked, vehicle, compared, values, ridge), centred)
         least = np.minimum(least, left.mean())
     return least
 
@@ -162,17 +165,17 @@ def best_wrong(
     # a wrong cause is fitted to all that is there, not to what the bend of the right one leaves
     values = [{n: at for n, at in flight.items() if n not in right} for flight in study.values]
     study = moved(study, case.effects, case.vehicle, values)
-    mixed = study.witnessed(flights, case.compared)
-    removable = np.maximum(old - floor, (1.0 - HOLDS) * old)
+    mixed, flown = study.witnessed(flights, case.compared), study.flown(case.compared)
+    removable = np.maximum(np.maximum(old - floor, (1.0 - HOLDS) * old), 1e-300)
     best, most = {}, 0.0
     for name in mixed.columns.causes:
         if name in right or name in tied:
             continue
         effect = case.effects[name]
         test = mixed.best(name, since, (), mixed.pooled(since), effect.parts)
-        found = dict(zip(test.offer.which, map(float, test.value)))
+        found, sizes = dict(zip(test.offer.which, map(float, test.value))), estimate(test, effect, flown)[0]
         changes = refit(study, flights, case.compared, {(name, since): found}) if anew else None
-        wrong = [(effect, {effect.fitted[k]: v for k, v in found.items()})]
+        wrong = [(effect, sizes)]
         try:
             model = Model(extend(case.model, wrong, case.vehicle, "wrong", "trial", changes), f"{name}, wrong")
         except ConfigError:

@@ -14,7 +14,7 @@ from quasi.gap.flights.evidence import Evidence
 from quasi.gap.flights.sessions import units
 from quasi.gap.levels.forces.axis_consistency import hear
 from quasi.gap.levels.forces.design import Design, in_stretches
-from quasi.gap.levels.forces.error_reduction import after, wrench_score
+from quasi.gap.levels.forces.error_reduction import after, before, wrench_squares
 from quasi.gap.levels.forces.held_out import HeldOut
 from quasi.gap.levels.forces.nonlinear import flatness
 from quasi.gap.levels.forces.search import Contradicts, Sought, estimate, merged, offers_of, seek, share_on_axes
@@ -23,7 +23,7 @@ from quasi.gap.profile import Profile
 from quasi.gap.selection import EXCESSIVE, FORM_ERROR, UNPHYSICAL, Named, Tie, is_absent
 from quasi.gap.statistics.candidates import Candidate, Test
 from quasi.gap.statistics.clustered import ClusteredMixedModel
-from quasi.model.model import Model
+from quasi.model.model import AXES, Model
 
 # p-value, with standard errors widened, up to which the leading parameters of a tie, which names nothing, together
 # differ from neutral: two standard errors of a single one
@@ -116,8 +116,10 @@ def examine(
         cause.std = {n: s * flatness(cause.effect, study, vehicle, cause.value) for n, s in cause.std.items()}
     unjudged = [c for c in kept if any((c.effect.id, c.since) == (u.effect.id, u.since) for u in unjudged)]
     extended = judge.made(kept, name, any(c.since == "always" for c in kept))
-    new = wrench_score(held, after(Model(extended, name), model)).mean()
-    scores = {"before": judge.old.mean(), "after": new, "noise_floor": np.minimum(judge.floor, new)}
+    old, new = (wrench_squares(held, left).mean() for left in (before, after(Model(extended, name), model)))
+    deaf = [k in {k for flight in flights for k in flight.excluded} for k in range(len(AXES))]
+    floor = np.where(deaf, old, np.minimum(judge.floor, new))  # on axes that do not count nothing can be removed
+    scores = {"before": old, "after": new, "noise_floor": floor}
     return Found(
         kept, ties, immaterial, sought.ranking, sought.level, study.lacking | unbearable, study, scores,
         extended, unjudged, contradicted | vague,

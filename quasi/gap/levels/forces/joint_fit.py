@@ -6,13 +6,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from quasi.gap.catalogue import beyond_slope, columns_of, corrected
+from quasi.gap.catalogue import beyond_slope, columns_of, corrected, in_columns
 from quasi.gap.effect import Effect, Vehicle
 from quasi.gap.flights.covariates import Basis
 from quasi.gap.flights.evidence import Evidence
 from quasi.gap.levels.forces import spectral_peaks as rhythm
 from quasi.gap.levels.forces.design import LIGHT, base_columns, refit
-from quasi.gap.levels.forces.smooth_functions import Cause, Grounds, Place, mixed_of
+from quasi.gap.levels.forces.smooth_functions import Cause, Grounds, Place, curved, mixed_of
 from quasi.gap.statistics.candidates import Candidate, Test
 from quasi.gap.statistics.mixed import marginal
 from quasi.gap.statistics.whitening import whiten
@@ -38,6 +38,7 @@ def joint_of(
     given = [offer for _, offer, _ in causes]
     for effect, offer, values in causes:
         own = {effect.fitted[k]: values[effect.fitted[k]] for k in offer.which if effect.fitted[k] in values}
+        own = dict(in_columns(effect, own, study.flown(compared))) if own and effect.apparent else own
         if not own:
             test = mixed_of(grounds, compared, given, []).test(offer, [g for g in given if g != offer])
             own = {effect.fitted[k]: float(v) for k, v in zip(offer.which, test.value)}
@@ -120,15 +121,16 @@ def slope_of(
 def residual_of(flight: Evidence, joint: Joint, vehicle: Vehicle) -> np.ndarray:
     """What the joint fit leaves of a compared flight (n, 6)."""
     left = flight.residual
-    bent = {e.id: at for e, _, at, _ in joint.causes if e.is_nonlinear}
+    bent = curved([(e, o, at) for e, o, at, _ in joint.causes], True)
     true = corrected(flight, {e.id: e for e, *_ in joint.causes}, bent)
     if joint.base is not None:
         left = left - sum(b * column for b, (_, column) in zip(joint.base, base_columns(true)))
-    for effect, _, at, own in joint.causes:
-        at = at if effect.is_nonlinear and at else dict.fromkeys(effect.parameters, 0.0)
-        seen = flight if effect.corrected else true
-        columns = columns_of(effect, seen, vehicle, at)
-        left = left - beyond_slope(effect, seen, vehicle, at) - sum(columns[n] * v for n, v in own.items())
+    effects = {e.id: e for e, *_ in joint.causes}
+    seen = {name: flight if effect.corrected else true for name, effect in effects.items()}
+    left = left - sum(beyond_slope(effects[n], seen[n], vehicle, at) for n, at in bent.items())
+    for effect, _, _, own in joint.causes:
+        columns = columns_of(effect, seen[effect.id], vehicle, bent.get(effect.id, {}))
+        left = left - sum(columns[n] * v for n, v in own.items())
     functions = joint.basis.functions(flight)
     for place, value in joint.functions:
         left = left - flight.only(AXES[place.channel], functions[:, list(place.choice.which)] @ value)

@@ -17,6 +17,7 @@ other forms, the data would take a rotor that is a fifth weaker for a session, o
 
 import numpy as np
 
+from quasi.attitude import GRAVITY
 from quasi.gap.causes.cg_offset import EFFECT as CG_OFFSET
 from quasi.gap.causes.rotor_effectiveness import EFFECT as ROTOR
 from quasi.gap.flights.evidence import Evidence
@@ -37,11 +38,12 @@ HALF_VARIANCE = 2.0**-0.5  # standard deviation of half of a variance
 
 def nuisances(evidence: Evidence) -> list[tuple[str, np.ndarray, float]]:
     """(name, column (n, 6), standard deviation) of each way in which a flight may differ."""
-    weight = evidence.mass * 9.81
+    weight = evidence.mass * GRAVITY
     result = []
     for k, axis in enumerate(AXES):
-        spread = FORCE_BIAS * weight if k < 3 else MOMENT_BIAS * weight * evidence.airframe.arm * 10.0
-        result.append((f"constant {axis}", evidence.only(axis, 1.0), spread))
+        # as shares, so that flights of different masses have columns of one standard deviation
+        size, spread = (weight, FORCE_BIAS) if k < 3 else (weight * evidence.airframe.arm * 10.0, MOMENT_BIAS)
+        result.append((f"constant {axis}", evidence.only(axis, size), spread))
     result.append(("mass", evidence.forces_only(-evidence.force), MASS_SPREAD))
     rotors = ROTOR.columns(evidence, {})
     result.append(("thrust", sum(rotors[f"rotor{i}"] for i in range(1, 5)), THRUST_SPREAD))

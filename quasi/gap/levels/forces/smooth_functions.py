@@ -61,9 +61,17 @@ class Grounds(NamedTuple):
         return self._replace(parts=parts, columns=columns)
 
 
-def _curved(causes: Sequence[Cause], compared: bool) -> dict[str, Mapping[str, float]]:
-    """Values to linearise a compared flight at, or a reference flight, which has none of what changed."""
-    return {e.id: v for e, offer, v in causes if e.is_nonlinear and (compared or offer.since == "always")}
+def curved(causes: Sequence[Cause], compared: bool) -> dict[str, dict[str, float]]:
+    """{cause: values} to linearise a compared flight at, or a reference flight, which has none of what changed.
+
+    Of a cause that was always there and has changed as well, both together.
+    """
+    found: dict[str, dict[str, float]] = {}
+    for effect, offer, values in causes:
+        if effect.is_nonlinear and (compared or offer.since == "always"):
+            own = found.setdefault(effect.id, {})
+            own |= {name: own.get(name, 0.0) + value for name, value in values.items()}
+    return found
 
 
 def grounds_of(
@@ -76,7 +84,7 @@ def grounds_of(
     flights choose neither
     """
     effects = {e.id: e for e, *_ in causes}
-    study = gather_design(flights, effects, vehicle, [_curved(causes, bool(flag)) for flag in compared])
+    study = gather_design(flights, effects, vehicle, [curved(causes, bool(flag)) for flag in compared])
     if like is not None:
         study = study._replace(whitener=like.study.whitener)
     basis = basis_of(flights) if like is None else like.basis

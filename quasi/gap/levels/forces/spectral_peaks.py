@@ -66,14 +66,16 @@ def search(signals: Sequence[Signal], compared: Sequence[bool], rate: float) -> 
     whitener = autoregression(views, [s.breaks for s in signals], ORDER)
     white = [_whitened(v, s, whitener) for v, s in zip(views, signals)]
     longest = max(t[-1] - t[0] for _, t in white)
-    grid = np.arange(1, int(HIGHEST_FREQUENCY * longest) + 1) / longest
-    powers = [_power(values, t, grid) for values, t in white]
+    grid = _grid(longest)
+    spans = [t[-1] - t[0] for _, t in white]
+    powers = [_power(values, t, _grid(span)) for (values, t), span in zip(white, spans)]
     flags = np.asarray(compared, bool)
     level = rate / (len(VIEWS) * len(WIDTHS) * len(grid))
     found: list[Line] = []
     peaks = []
     for width in WIDTHS:
-        ratios = np.array([_ratio(p, width) for p in powers])  # (F, G, 9)
+        # bins of a flight are independent on its own grid alone
+        ratios = np.array([_ratio(p, width)[_nearest(grid, span, len(p))] for p, span in zip(powers, spans)])
         back = 2 * AROUND * width
         mine = ratios[flags]
         p = f_distribution.sf(mine.mean(axis=0), 2 * width * len(own), 2 * back * len(own))
@@ -95,6 +97,16 @@ def search(signals: Sequence[Signal], compared: Sequence[bool], rate: float) -> 
         if len(found) < MOST_PEAKS and not any(_same(peak, other) for other in found) and _outside(peak, own):
             found.append(peak)
     return found
+
+
+def _grid(span: float) -> np.ndarray:
+    """Frequencies (G,), Hz, of the independent bins of `span` seconds."""
+    return np.arange(1, int(HIGHEST_FREQUENCY * span) + 1) / span
+
+
+def _nearest(grid: np.ndarray, span: float, count: int) -> np.ndarray:
+    """The bin of a flight of `span` seconds with `count` bins that is nearest to each frequency."""
+    return np.clip(np.round(grid * span).astype(int) - 1, 0, count - 1)
 
 
 def _outside(line: Line, signals: Sequence[Signal]) -> bool:

@@ -20,7 +20,7 @@ import pandas as pd
 
 from quasi.gap.catalogue import columns_of
 from quasi.gap.effect import Effect, Vehicle
-from quasi.gap.extension import extend
+from quasi.gap.extension import extend, joined
 from quasi.gap.flights.evidence import Evidence
 from quasi.gap.flights.instruments import shown
 from quasi.gap.levels.forces.design import BAND, ORDER, ROW_MEMORY
@@ -55,9 +55,9 @@ def own(
     """Estimate on a flight's first half; None where that has less than LEAST_HALF seconds.
 
     model   whose residual is explained: `base` itself, or its extension by `causes` (deviations from neutral)
-    level   (6,) mean squared residual of the flights that were learned from
+    level   (6,) mean squared residual of the flights that were learned from; 0 of axes that do not count
     """
-    until = float(np.median(flight.t))
+    causes, until = joined(causes), float(np.median(flight.t))
     scoped = [(e, n) for e, values in causes for n in values if _is_own(e, n, vehicle)]
     columns = [flight.measured - shown(model, base, flight)]
     spread = []
@@ -74,7 +74,8 @@ def own(
     if np.count_nonzero(first) * step < LEAST_HALF:
         return None
     seen = part.columns[first]
-    gram = np.einsum("k,nki,nkj->ij", 1.0 / (ROW_MEMORY * np.maximum(level, 1e-300)), seen, seen)
+    weight = np.divide(1.0, ROW_MEMORY * level, out=np.zeros(len(level)), where=level > 0.0)
+    gram = np.einsum("k,nki,nkj->ij", weight, seen, seen)
     scaled = gram[1:, 1:] * np.outer(spread, spread) + np.eye(len(spread))
     inverse = np.linalg.inv(scaled) * np.outer(spread, spread)
     value, std = inverse @ gram[1:, 0], np.sqrt(np.diag(inverse))
@@ -111,7 +112,7 @@ def with_own(
         old = base.document["axes"].get(axis, {"terms": []})["terms"]
         new = extended.document["axes"].get(axis, {"terms": []})["terms"]
         changes += [b["coefficient"] - a["coefficient"] for a, b in zip(old, new)]
-    pairs = [(e, {**values, **found.parameters.get(e.id, {})}) for e, values in causes]
+    pairs = [(e, {**values, **found.parameters.get(e.id, {})}) for e, values in joined(causes)]
     return Model(extend(base, pairs, vehicle, extended.id, "its own parameters", np.array(changes)), extended.id)
 
 

@@ -61,6 +61,12 @@ class Weak(NamedTuple):
     feeling: bool = True
 
 
+def in_common(flights: Sequence[Weak]) -> list[Weak]:
+    """The flights with the columns that all of them have: those with an on-board attitude have more."""
+    names = [n for n in flights[0].names if all(n in w.names for w in flights)]
+    return [w._replace(columns=w.columns[:, :, [w.names.index(n) for n in names]], names=names) for w in flights]
+
+
 def windows(width: float, rate: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """A Gaussian window and its first two derivatives as convolution kernels (k,) for samples at `rate` Hz.
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from quasi.gap.catalogue import catalogue
 from quasi.gap.flights.level import Flown, by_cause, causes_of, values_of
-from quasi.gap.levels.sensors.columns import Weak, corrected_already, weak_form
+from quasi.gap.levels.sensors.columns import Weak, corrected_already, in_common, weak_form
 from quasi.gap.levels.sensors.identify import NORMAL_SPREAD, SENSOR_CAUSES, size_of
 from quasi.gap.levels.sensors.products import blocks_of, least_squares, whitener_of
 from quasi.gap.materiality import Gain, LinearErrors, each_usable, gains_of, without_nuisances
@@ -29,7 +29,10 @@ def gains(entries: Sequence[Mapping[str, Any]], flights: Sequence[Flown], correc
     the error as well, and the better of both counts.
     Raises DataError when no flight can be compared with its capture.
     """
-    usable = each_usable(flights, _known_of)
+    found = each_usable(flights, _known_of)
+    usable = [
+        k._replace(weak=w, information=_of(k, w.names)) for k, w in zip(found, in_common([k.weak for k in found]))
+    ]
     found = _gains(entries, usable, corrected, causes_of(entries))
     for cause, bias in MEAN_OF.items():
         if cause in found:
@@ -50,6 +53,11 @@ class _Known(NamedTuple):
 def _known_of(flown: Flown) -> _Known:
     weak = weak_form(flown)
     return _Known(flown, weak, blocks_of(weak, whitener_of(weak)).sum(axis=0))
+
+
+def _of(known: _Known, names: Sequence[str]) -> np.ndarray:
+    at = [known.weak.names.index(n) for n in names]
+    return known.information[np.ix_(at, at)]
 
 
 def _most(gain: Gain) -> float:

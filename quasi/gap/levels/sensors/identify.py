@@ -16,7 +16,7 @@ from quasi.gap.catalogue import catalogue
 from quasi.gap.effect import Effect, Limits
 from quasi.gap.flights.level import PRIOR_FREEDOM, Flown, Level, SensorMixedModel
 from quasi.gap.levels.selected import report_selection
-from quasi.gap.levels.sensors.columns import Weak, corrected_already, straightened, weak_form
+from quasi.gap.levels.sensors.columns import Weak, corrected_already, in_common, straightened, weak_form
 from quasi.gap.levels.sensors.findings import shaken, torn
 from quasi.gap.levels.sensors.products import added, alone, blocks_of, dispersion, spread_of_slopes, whitener_of
 from quasi.gap.levels.sensors.tables import tables
@@ -93,11 +93,11 @@ def examine(flights: Sequence[Flown], options: Mapping[str, Any]) -> Level:
             "capture looks like a force"
         )
         weak = [w._replace(columns=_only(w.columns, GYRO_CHANNELS), feeling=False) for w in weak]
-    names = [n for n in weak[0].names if all(n in w.names for w in weak)]
+    weak = in_common(weak)
+    names = weak[0].names
     if "attitude_error" in asked and not any(n.startswith("attitude_error") for n in names):
         why = "not every flight has the flight controller's own attitude"
         level.cannot_be_asked.append({"id": "attitude_error", "why": why})
-    weak = [w._replace(columns=w.columns[:, :, [w.names.index(n) for n in names]], names=names) for w in weak]
     level.notes.append(
         "a delay of the whole capture is the same as an offset between its clock and the log's and is not reported; "
         "mocap_delay is that of its rotation against its position"
