@@ -9,7 +9,7 @@ from quasi.airframe import Airframe
 from quasi.attitude import GRAVITY
 from quasi.errors import ConfigError
 from quasi.export.naming import identifier, shown
-from quasi.model.extensions import drive_of, extensions_of, read_rotor_constants
+from quasi.model.extensions import drive_of, extensions_of, read_rotor_constants, read_speed_limits
 from quasi.model.model import AXES, Model
 from quasi.terms.kernel import INPUTS
 from quasi.terms.variables import check_system_inputs
@@ -128,12 +128,11 @@ def actuators_of(model: Model) -> Actuators:
     if np.min([up, down]) <= 0.0:
         raise ConfigError(f"model {model.id}: time constants must be positive, found {up}, {down}; correct them")
     late = value("delay")
-    frame, limits = model.airframe, []
-    factor = frame.logged_to_rad_s or model.document.get("logged to rad/s")
-    for key, logged, free in (("idle RPM", frame.idle_rpm, 0.0), ("max RPM", frame.max_rpm, np.inf)):
-        if logged is None or factor is None:
+    limits = []
+    for key, known_limit, free in zip(("idle RPM", "max RPM"), read_speed_limits(model), (0.0, np.inf)):
+        if known_limit is None:
             notes.append(f"the airframe's '{key}' or 'motor poles' is unknown: commands have no such limit")
-        limits.append(free if logged is None or factor is None else float(logged * factor))
+        limits.append(free if known_limit is None else known_limit)
     delay = 0.0 if late is None else max(float(np.mean(late)), 0.0)
     return Actuators(up, down, delay, limits[0], limits[1], tuple(notes))
 
@@ -141,8 +140,9 @@ def actuators_of(model: Model) -> Actuators:
 def voltage_of(model: Model) -> Voltage | None:
     """The battery of a model: the median voltage of its training flights, and what extensions say of the rotors.
 
-    None for a model that has nothing to do with it. Where the flights' voltage is unknown start and reference are what
-    the extension's exponent was found at, or 1 V, so that commands are true until both are given.
+    None for a model that has nothing to do with it. The reference is what the extension's exponent was found at, else
+    the flights' voltage; where that is unknown, start is the reference, or both are 1 V: commands are true until both
+    are given.
     Raises ConfigError for a model that reads the voltage in its terms but does not know what its flights had.
     """
     rotor_constants = read_rotor_constants(model)
@@ -156,8 +156,9 @@ def voltage_of(model: Model) -> Voltage | None:
         raise ConfigError(
             f"model {model.id} reads the battery voltage but does not state that of its flights; make the model anew"
         )
-    start = float(rotor_constants.get("reference voltage", 1.0) if start is None else start)
-    return Voltage(start, start, exponent)
+    reference = rotor_constants.get("reference voltage", 1.0 if start is None else start)
+    start = reference if start is None else start
+    return Voltage(float(start), float(reference), exponent)
 
 
 def head(model: Model) -> list[str]:
@@ -260,6 +261,6 @@ def _numbers(value: Any, where: str) -> np.ndarray:
         found = np.asarray(value, float)
     except (TypeError, ValueError):
         found = np.full(1, np.nan)
-    if found.size not in (1, 3, 4) or not np.all(np.isfinite(found)):
+    if found.size not in (1, 4) or not np.all(np.isfinite(found)):
         raise ConfigError(f"{where} is {shown(value, 60)}, expected finite numbers; make the model anew")
     return found

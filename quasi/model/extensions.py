@@ -49,6 +49,19 @@ def read_rotor_constants(model: Model) -> dict[str, float]:
     return _collect_rotor_constants(model.document, model.id)
 
 
+def read_speed_limits(model: Model) -> tuple[float | None, float | None]:
+    """Lowest and highest rotor speed, rad/s, by the airframe; None where it does not say, or not the unit.
+
+    They are configured in recorded units, from which a scale of all recorded speeds is taken off.
+    """
+    frame = model.airframe
+    factor = frame.logged_to_rad_s or model.document.get("logged to rad/s")
+    scale = read_rotor_constants(model).get("rotor speed scale", 1.0)
+    logged = frame.idle_rpm, frame.max_rpm
+    low, high = (None if v is None or not factor else float(v * factor / scale) for v in logged)
+    return low, high
+
+
 def drive_of(document: Mapping[str, Any]) -> dict[str, Any]:
     """Read the section "actuators" of a model's document, with the rotor constants of its extensions instead of its
     own.

@@ -263,8 +263,10 @@ def _render_rotors(model: Mapping[str, Any]) -> str:
             )
     mapped = found.get("command map")
     if mapped:
+        powers = mapped.get("powers") or range(len(mapped["coefficients"]))
         terms = " + ".join(
-            f"{c:.5g}" + ("" if k == 0 else " c" if k == 1 else f" c^{k}") for k, c in enumerate(mapped["coefficients"])
+            f"{c:.5g}" + ("" if k == 0 else " c" if k == 1 else f" c^{k}")
+            for k, c in zip(powers, mapped["coefficients"])
         )
         exponent = mapped.get("voltage exponent")
         exponent = exponent["value"] if isinstance(exponent, Mapping) else exponent

@@ -18,7 +18,16 @@ from quasi.gap.comparing.differences import (
 )
 from quasi.gap.comparing.flight_comparison import SCHEMA
 from quasi.gap.comparing.flight_quantities import LEAST_BLOCKS, rows_in_flight
-from quasi.gap.levels.rollouts.open_loop import ERROR_UNITS, HORIZON, flight_of, simulated, sizes, vectors, windows
+from quasi.gap.levels.rollouts.open_loop import (
+    ERROR_UNITS,
+    HORIZON,
+    finite,
+    flight_of,
+    simulated,
+    sizes,
+    vectors,
+    windows,
+)
 from quasi.gap.statistics.blocks import BLOCK
 from quasi.model.extensions import correct_flight
 from quasi.model.model import Model
@@ -50,8 +59,8 @@ def compare_models(
                 error = (own[axis].to_numpy(float) - predicted[axis].to_numpy(float))[rows]
                 squares.setdefault(axis, [[], []])[column].append(_block_means(at, error**2))
         if len(a.axes) == len(b.axes) == 6:
-            for model, column in ((a, 0), (b, 1)):
-                for quantity, blocks in _rolled(model, key, flight, masses.get(key)).items():
+            for column, found in enumerate(_rolled((a, b), key, flight, masses.get(key))):
+                for quantity, blocks in found.items():
                     squares.setdefault(f"{quantity} after {HORIZON:g} s", [[], []])[column].append(blocks)
     rows = [_difference(name, *(np.concatenate(side) for side in sides)) for name, sides in squares.items()]
     count = max(len(np.concatenate(sides[0])) for sides in squares.values())
@@ -99,17 +108,17 @@ def models_text(
     return "\n".join(lines)
 
 
-def _rolled(model: Model, key: str, table: pd.DataFrame, mass: float | None) -> dict[str, np.ndarray]:
-    """{quantity: block means of squared errors} of open-loop simulations with measured rotor speeds."""
+def _rolled(models: Sequence[Model], key: str, table: pd.DataFrame, mass: float | None) -> list[dict[str, np.ndarray]]:
+    """{quantity: block means of squared errors} of each model's open-loop simulations with measured rotor speeds."""
     flight = flight_of(key, table, mass)
     flight = flight._replace(valid=flight.valid & rows_in_flight(table))
     starts = windows(flight, HORIZON)
     if not len(starts):
-        return {}
+        return []
     last = np.array([count_steps(flight.t, HORIZON)])
-    found = sizes(vectors(simulated(model, flight, starts, HORIZON), flight, starts, last)[:, 0])
-    kept = {q: np.nan_to_num(found[q], nan=np.nanmax(found[q], initial=0.0)) for q in ERROR_UNITS}
-    return {q: _block_means(flight.t[starts], v**2) for q, v in kept.items()}
+    found = [sizes(vectors(simulated(m, flight, starts, HORIZON), flight, starts, last)[:, 0]) for m in models]
+    kept = [{q: finite(of[q], *(other[q] for other in found)) for q in ERROR_UNITS} for of in found]
+    return [{q: _block_means(flight.t[starts], v**2) for q, v in of.items()} for of in kept]
 
 
 def _block_means(t: np.ndarray, values: np.ndarray) -> np.ndarray:

@@ -7,7 +7,6 @@ generation and control for quadrotors, ICRA 2011, section III.
 """
 
 import math
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -19,6 +18,7 @@ from quasi.attitude import GRAVITY
 from quasi.errors import ConfigError, DataError, nearest
 from quasi.gap.flights.evidence import RATE
 from quasi.model.columns import ROTORS
+from quasi.model.extensions import read_speed_limits
 from quasi.model.hover import list_usual_inputs
 from quasi.model.model import AXES, Model
 
@@ -271,7 +271,5 @@ def hover_speed_of(model: Model) -> float:
 
 def limits_of(model: Model) -> tuple[float, float]:
     """Lowest and highest rotor speed, rad/s, by the airframe; 0 and infinity where it does not say."""
-    factor = model.airframe.logged_to_rad_s or model.document.get("logged to rad/s")
-    bounds: Sequence[float | None] = (model.airframe.idle_rpm, model.airframe.max_rpm)
-    low, high = (None if b is None or factor is None else b * factor for b in bounds)
-    return (0.0 if low is None else float(low)), (math.inf if high is None else float(high))
+    low, high = read_speed_limits(model)
+    return (0.0 if low is None else low), (math.inf if high is None else high)

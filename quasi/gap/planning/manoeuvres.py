@@ -192,7 +192,7 @@ def _staircase(model: Model, start: np.ndarray, yaw: float, size: float) -> Made
     heights = [max(h, 1.2 * radius) for h in (1.5 * radius, 2.5 * radius, 4.0 * radius, 7.0 * radius, 13.0 * radius)]
     parts, at = [np.full(round(2.0 * RATE), heights[0])], heights[0]
     for height in (*heights[1:], *heights[-2::-1]):
-        parts += [at + (height - at) * _smooth(round(RATE)), np.full(round(1.2 * RATE), height)]
+        parts += [at + (height - at) * _smooth(round(RATE / size)), np.full(round(1.2 * RATE), height)]
         at = height
     way = np.concatenate(parts)
     hub = float(np.asarray(model.airframe.hubs)[:, 2].mean())
@@ -217,7 +217,10 @@ def _places(model: Model, start: np.ndarray, yaw: float, size: float) -> Made:
     parts = [np.zeros((round(REST * RATE), 3))]
     for here, there in pairwise(corners):
         far = float(np.linalg.norm(there - here))
-        parts += [here + _move(1.0, 1.2 / far)[:, None] * (there - here), np.repeat(there[None], round(RATE), axis=0)]
+        parts += [
+            here + _move(1.0, 1.2 * size / far)[:, None] * (there - here),
+            np.repeat(there[None], round(RATE), axis=0),
+        ]
     way = np.concatenate(parts)
     text = f"slow moves to several heights at several places, 4 m apart, {len(way) / RATE:.0f} s"
     return "places", text, _flown(model, start, yaw, way, np.zeros(len(way)), "places")

@@ -10,6 +10,7 @@ import numpy as np
 import pandas as pd
 
 from quasi.gap.effect import Effect
+from quasi.gap.entries import ALONE, STRONGEST, WEAKER
 from quasi.gap.levels.corrections import corrected_at_import
 from quasi.gap.levels.rollouts.open_loop import ERROR_UNITS
 from quasi.gap.levels.sensors_and_drive import CHANNEL_UNITS as UNITS_OF
@@ -151,8 +152,10 @@ def _rules(diagnosis: Mapping[str, Any]) -> str:
         "a cause of forces and moments is named at a family-wise false alarm rate of "
         f"{diagnosis['false alarm rate']:g}, which all searches and the held-out flights share, when it removes at "
         f"least {100 * diagnosis['material share']:g} % of the removable error on held-out flights and comes again in "
-        "enough resamples of the flights' blocks: 20 % alone, 50 % as the strongest of several, 80 % next to a "
-        "stronger one; what all flights have alike has to gain more than that, beyond doubt, with the model's own "
+        "enough resamples of the flights' blocks: "
+        f"{100 * ALONE:.0f} % alone, {100 * STRONGEST:.0f} % as the strongest of several or where held-out flights do "
+        f"not show it, {100 * WEAKER:.0f} % next to a stronger one, half of that where it is very clear; "
+        "what all flights have alike has to gain more than that, beyond doubt, with the model's own "
         "terms fitted anew"
     )
 

@@ -216,7 +216,8 @@ def _lost(effect: Mapping[str, Any], diagnosis: Mapping[str, Any], known: Mappin
     rivals = known[effect["id"]].rivals if effect["id"] in known else ()
     named = {e["id"] for e in diagnosis["effects"]}
     names = dict.fromkeys([*effect.get("confused_with", []), *rivals])
-    return [i for i in names if i in {c["id"] for c in diagnosis["candidates"]} and i not in named]
+    tested = {c["id"] for c in diagnosis["candidates"] if c.get("since") == effect["since"]}
+    return [i for i in names if i in tested and i not in named]
 
 
 def rivals_words(effect: Mapping[str, Any], diagnosis: Mapping[str, Any], known: Mapping[str, Effect]) -> str:
@@ -224,7 +225,7 @@ def rivals_words(effect: Mapping[str, Any], diagnosis: Mapping[str, Any], known:
     tested = _lost(effect, diagnosis, known)
     if not tested:
         return ""
-    lost = {c["id"]: c for c in diagnosis["candidates"]}
+    lost = {c["id"]: c for c in diagnosis["candidates"] if c.get("since") == effect["since"]}
     were = "were" if len(tested) > 1 else "was"
     # of one that is there as well, only too little of it, its p would say the opposite
     why = next((f" ({name_of(i)}: p = {lost[i]['p']:.2g})" for i in tested if (lost[i].get("p") or 0.0) > RIVAL_P), "")

@@ -11,7 +11,7 @@ import numpy as np
 
 from quasi.airframe import Airframe
 from quasi.errors import ConfigError, DataError
-from quasi.model.extensions import drive_of
+from quasi.model.extensions import drive_of, read_speed_limits
 from quasi.model.hover import find_hover_speed, predict_at_rest
 from quasi.model.model import Model
 
@@ -57,7 +57,8 @@ def make_control_model(model: Model, actuators: Mapping[str, Any] | None = None)
         raise DataError(f"model {name} knows no mass; fill in 'Mass' in the logbook and build it again")
     given = dict(actuators or {})
     limits = [
-        _read_speed_limit(given, key, rpm, airframe) for key, rpm in (("lowest", "idle_rpm"), ("highest", "max_rpm"))
+        known if given.get(key) is None else float(given[key])
+        for key, known in zip(("lowest", "highest"), read_speed_limits(model))
     ]
     hover = find_hover_speed(model, limits[1])
     highest = limits[1] if limits[1] is not None else _HIGHEST_SPEED_RATIO * hover
@@ -144,10 +145,3 @@ def _read_times(value: Any, where: str) -> np.ndarray:
     if values.size not in (1, 4) or not np.all(np.isfinite(values)) or np.any(values <= 0.0):
         raise ConfigError(f"{where} is {value!r}, expected one or four positive numbers of seconds")
     return values
-
-
-def _read_speed_limit(given: Mapping[str, Any], key: str, rpm: str, airframe: Airframe) -> float | None:
-    if given.get(key) is not None:
-        return float(given[key])
-    logged, factor = getattr(airframe, rpm), airframe.logged_to_rad_s
-    return None if logged is None or factor is None else logged * factor

@@ -400,11 +400,12 @@ def _evaluate_table(parameters, table, t, setpoint):
     """
     last = len(table) - 1
     first, end = table[0, 0], table[last, 0]
-    if parameters[1] > 0.0 and t > end:
+    repeats = parameters[1] > 0.0
+    if repeats and t >= end:
         t = first + (t - first) % (end - first)
     setpoint[SETPOINT_KIND] = parameters[0]
-    if t <= first or t >= end:
-        row = 0 if t <= first else last
+    if t < first or (t >= end and not repeats):
+        row = 0 if t < first else last
         for k in range(1, SETPOINT_SIZE):
             setpoint[k] = table[row, k]
         setpoint[SETPOINT_YAW_RATE] = 0.0

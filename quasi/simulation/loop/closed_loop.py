@@ -188,11 +188,11 @@ def update_environment(t, wind, wind_table, fault, battery, clock, x, step_input
 def measure(body, sensors, x, last_loads, speeds, random, random_numbers, measurement):
     """Write sensor readings to measurement (26,); the accelerometer measures the forces at the last step's end."""
     fx, fy, fz = last_loads[0] / body[MASS], last_loads[1] / body[MASS], last_loads[2] / body[MASS]
-    if any_lane(body[ADDED_GRAVITY] == 0.0):  # the model's forces are net forces
-        w, rx, ry, rz = x[0], x[1], x[2], x[3]
-        fx -= 2.0 * (rx * rz - w * ry) * GRAVITY
-        fy -= 2.0 * (ry * rz + w * rx) * GRAVITY
-        fz -= (1.0 - 2.0 * (rx * rx + ry * ry)) * GRAVITY
+    if any_lane(body[ADDED_GRAVITY] != GRAVITY):  # the model's forces are net forces
+        w, rx, ry, rz, held = x[0], x[1], x[2], x[3], GRAVITY - body[ADDED_GRAVITY]
+        fx -= 2.0 * (rx * rz - w * ry) * held
+        fy -= 2.0 * (ry * rz + w * rx) * held
+        fz -= (1.0 - 2.0 * (rx * rx + ry * ry)) * held
     add_sensor_noise(x, fx, fy, fz, sensors, speeds, random, random_numbers, measurement)
 
 

@@ -28,7 +28,7 @@ from quasi.simulation.loop.divergence import explain_end, recompute_state_before
 from quasi.simulation.loop.result import Result, make_result
 from quasi.simulation.loop.setup import STATE_NAMES, Setup
 from quasi.simulation.vehicle.dynamics import INTEGRATORS, append_extra_states, make_scratch
-from quasi.simulation.vehicle.layout import INERTIA, INVERSE_INERTIA, MASS, STATE_SIZE
+from quasi.simulation.vehicle.layout import ADDED_GRAVITY, INERTIA, INVERSE_INERTIA, MASS, STATE_SIZE
 from quasi.terms.lanes import LANES
 
 
@@ -172,6 +172,9 @@ def simulate_many(
     body, fault, wind = rows_of(loop_parameters.body), rows_of(loop_parameters.fault), rows_of(loop_parameters.wind)
     if "mass" in varied:
         body[:, MASS] = varied["mass"]
+        # net forces hold the weight of the model's own mass
+        held = loop_parameters.body[MASS] * (GRAVITY - loop_parameters.body[ADDED_GRAVITY])
+        body[:, ADDED_GRAVITY] = GRAVITY - held / body[:, MASS]
     if "inertia" in varied:
         inertia = np.asarray(varied["inertia"], float)
         body[:, INERTIA : INERTIA + 9] = inertia.reshape(count, 9)

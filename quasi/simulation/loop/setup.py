@@ -21,7 +21,7 @@ from quasi import attitude
 from quasi.airframe import Airframe
 from quasi.attitude import GRAVITY
 from quasi.errors import ConfigError, DataError
-from quasi.model.extensions import drive_of, read_rotor_constants, wind_of
+from quasi.model.extensions import drive_of, read_rotor_constants, read_speed_limits, wind_of
 from quasi.model.hover import find_hover_speed
 from quasi.model.model import Model
 from quasi.project import configuration
@@ -332,10 +332,9 @@ def _make_actuator(
             )
         rate = _MANUAL_RATE_LIMIT * factor
     bounds = []
-    for key, logged, free in (("lowest speed", airframe.idle_rpm, 0.0), ("highest speed", airframe.max_rpm, math.inf)):
-        value = asked[key]
-        if value is None and logged is not None and factor is not None:
-            value = logged * factor
+    limits = zip(("lowest speed", "highest speed"), read_speed_limits(model), (0.0, math.inf))
+    for key, limit, free in limits:
+        value = limit if asked[key] is None else asked[key]
         if value is None and kind != "none":
             what = "idle RPM" if key == "lowest speed" else "max RPM"
             notes.append(f"the airframe's '{what}' or 'motor poles' is unknown: commands have no {key}")

@@ -16,7 +16,7 @@ from numba import njit
 
 from quasi.attitude import GRAVITY, from_euler, to_euler
 from quasi.errors import DataError, ShapeError
-from quasi.model.extensions import drive_of, read_rotor_constants, wind_of
+from quasi.model.extensions import drive_of, read_rotor_constants, read_speed_limits, wind_of
 from quasi.model.model import Model
 from quasi.simulation.control.control_model import DEFAULT_ACTUATOR_LAG
 from quasi.simulation.vehicle.dynamics import (
@@ -216,8 +216,10 @@ def replay(
     extras = np.zeros((n, 0)) if not names else np.column_stack([np.asarray(extra[m], float) for m in names])
     added = np.zeros((0, 6)) if offsets is None else -_check_rows(offsets, "offsets", (count, 6))
     frame = model.airframe
-    gravity = GRAVITY if model.with_gravity else 0.0
     own = frame.mass if mass is None else mass, frame.inertia if inertia is None else inertia
+    # net forces hold the weight of the model's own mass
+    held = 0.0 if model.with_gravity else 1.0 if mass is None or frame.mass is None else frame.mass / mass
+    gravity = GRAVITY * (1.0 - held)
     body = make_body_constants(*own, model.kernel, gravity, given.up, given.down)
     write_payload_and_inflow(parts, frame.hubs, body)
     lying = np.zeros(count, bool) if floor is None else states[starts, 11] > floor - parts.load_length
@@ -256,12 +258,8 @@ def read_actuator_dynamics(model: Model) -> ActuatorDynamics:
         return next((known[k]["value"] for k in keys if (known.get(k) or {}).get("value") is not None), None)
 
     up, down = (value(f"time constants {way}", "time constants") for way in ("up", "down"))
-    frame = model.airframe
-    factor = frame.logged_to_rad_s or model.document.get("logged to rad/s")
-    # the limits are in recorded units as well
-    factor = factor and factor / read_rotor_constants(model).get("rotor speed scale", 1.0)
-    low = frame.idle_rpm * factor if frame.idle_rpm is not None and factor else 0.0
-    high = frame.max_rpm * factor if frame.max_rpm is not None and factor else math.inf
+    low, high = read_speed_limits(model)
+    low, high = 0.0 if low is None else low, math.inf if high is None else high
     late = value("delay")
     late = 0.0 if late is None else max(float(np.mean(late)), 0.0)
     return ActuatorDynamics(

@@ -14,7 +14,7 @@ STEP_INPUTS_SIZE = EXTRA_INPUTS
 
 # first entries in `body`, the constants of the rigid body and its rotors
 MASS = 0  # kg
-ADDED_GRAVITY = 1  # m/s2, 0 where the model's forces include gravity
+ADDED_GRAVITY = 1  # m/s2, 0 where the model's forces include the whole weight
 INERTIA = 2  # (9,) kg m2, row by row, body axes about the cg
 INVERSE_INERTIA = 11  # (9,) its inverse
 LOADS_OFFSET = 20  # (6,) N, N m, subtracted from the model's forces and moments

@@ -45,6 +45,7 @@ def apply_extensions(model: Model) -> Model:
             if any(term.get("extension") == name for term in part["terms"]):
                 continue  # the axis has them already
             added = [make_fixed_term(t["expression"], t["coefficient"], t.get("unit", "")) for t in terms]
+            added = [{**term, "extension": name} for term in added]
             part["terms"] = [*part["terms"], *added]
             changed = True
     return Model(document, f"model {model.id} with its extensions") if changed else model

@@ -28,7 +28,9 @@ end
 
 function memory = learnLimits(dt, seen, memory, c)
 memory.expected = memory.expected + (memory.sentSpeeds - memory.expected)*memory.follow;
-behind = memory.expected - seen.omega > 0.03*c.hoverSpeed;
+% what the best rotor lacks is a lag or a voltage that all rotors share, and no limit
+alike = min(max(seen.omega./max(memory.expected, 1e-3)), 1);
+behind = alike*memory.expected - seen.omega > 0.03*c.hoverSpeed;
 memory.late = max(memory.late + dt*(2*behind - 1), 0);
 for i = 1:4
     if memory.late(i) > 0.05

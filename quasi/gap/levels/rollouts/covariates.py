@@ -30,7 +30,7 @@ def where_of(errors: pd.DataFrame) -> pd.DataFrame:
     """As `residual_tables.where`, by line and horizon, along the place where windows begin.
 
     errors  of `placed`. Norms and absolute values have no sign: the means are of sizes. Diverged windows count with the
-    largest finite error.
+    largest finite error of any model.
     """
     models, parts = [m for m in MODELS if m in set(errors["model"])], []
     for (line, horizon), rows in errors.groupby(["driven", "horizon"], sort=False):
@@ -39,7 +39,8 @@ def where_of(errors: pd.DataFrame) -> pd.DataFrame:
             continue
         table = by_model["before"].drop(columns=[*UNIT_OF]).rename(columns={"start": "t"})
         for model in models:
-            table = table.assign(**{f"{q}_{model}": finite(by_model[model][q]) for q in UNIT_OF})
+            errors_of = {q: [by_model[m][q] for m in (model, *models)] for q in UNIT_OF}
+            table = table.assign(**{f"{q}_{model}": finite(*own) for q, own in errors_of.items()})
         parts.append(where(table, UNIT_OF, models).assign(driven=line, horizon=horizon))
     return pd.concat(parts, ignore_index=True) if parts else pd.DataFrame(columns=["channel", "where"])
 
@@ -59,9 +60,9 @@ def channels_of(
         for name, place in columns.items():
             row = {"flight": flight.key, "driven": line, "horizon": float(horizon), "channel": name,
                    "unit": UNIT_OF[name]}  # fmt: skip
+            norms = {word: np.linalg.norm(values[:, k, place], axis=1) for word, values in errors.items()}
             for word, values in errors.items():
-                own = values[:, k, place]
-                size = finite(np.linalg.norm(own, axis=1))
+                own, size = values[:, k, place], finite(norms[word], *norms.values())
                 row |= {word: float(np.sqrt(np.mean(size**2))),
                         f"whiteness_{word}": _again(own, flight.t[starts], horizon)}  # fmt: skip
             rows.append(row)

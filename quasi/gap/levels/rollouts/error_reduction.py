@@ -200,7 +200,7 @@ def lesser(one: pd.DataFrame, other: pd.DataFrame) -> pd.DataFrame:
     for horizon in one["horizon"].unique():
         rows = (one["horizon"] == horizon).to_numpy()
         for quantity in (*ERROR_UNITS, *MOVED_BY.values()):
-            here, there = (squares(table[rows], [quantity]).mean() for table in (one, other))
+            here, there = (of.mean() for of in squares([one[rows], other[rows]], [quantity]))
             if there < here:
                 best.loc[rows, quantity] = other.loc[rows, quantity].to_numpy()
     return best
@@ -218,7 +218,7 @@ def shares(
     for horizon, old in first.groupby("horizon"):
         others = [old, *(t[t["horizon"] == horizon] for t in (last, floor, last if reached is None else reached))]
         flight, start = old["flight"].to_numpy(), old["start"].to_numpy()
-        removed = blocks.shares(flight, start, *(squares(table, quantities) for table in others))
+        removed = blocks.shares(flight, start, *squares(others, quantities))
         rows += [{"quantity": q, "horizon": float(horizon), **row} for q, row in zip(quantities, removed)]
     return sorted(rows, key=lambda row: quantities.index(row["quantity"]))
 
@@ -333,7 +333,7 @@ def _ratio(table: pd.DataFrame, old: pd.DataFrame, names: Sequence[str]) -> floa
     """Mean over horizons and quantities of the squared errors over the old ones."""
     parts = []
     for horizon, first in old.groupby("horizon"):
-        new, was = (squares(t, names).mean(axis=0) for t in (table[table["horizon"] == horizon], first))
+        new, was = (of.mean(axis=0) for of in squares([table[table["horizon"] == horizon], first], names))
         parts.append((new + NO_ERROR) / (was + NO_ERROR))
     return float(np.mean(parts))
 

@@ -185,9 +185,9 @@ def rms(table: pd.DataFrame) -> dict[str, dict[str, float]]:
     return result
 
 
-def squares(table: pd.DataFrame, quantities: Sequence[str]) -> np.ndarray:
-    """Squared end errors (windows, len(quantities)) of one horizon; diverged ones count as the largest finite one."""
-    return np.stack([finite(table[q]) ** 2 for q in quantities], axis=1)
+def squares(tables: Sequence[pd.DataFrame], quantities: Sequence[str]) -> list[np.ndarray]:
+    """Squared end errors (windows, len(quantities)) of one horizon under each model, see `finite`."""
+    return [np.stack([finite(one[q], *(t[q] for t in tables)) ** 2 for q in quantities], axis=1) for one in tables]
 
 
 def fell(old: pd.DataFrame, new: pd.DataFrame, seed: int = 0) -> list[dict[str, object]]:
@@ -198,10 +198,10 @@ def fell(old: pd.DataFrame, new: pd.DataFrame, seed: int = 0) -> list[dict[str, 
     names = (*ERROR_UNITS, *MOVED_BY.values())
     rows = []
     for horizon, first in old.groupby("horizon"):
-        both = np.stack([squares(first, names), squares(new[new["horizon"] == horizon], names)], axis=1)
+        both = np.stack(squares([first, new[new["horizon"] == horizon]], names), axis=1)
         found = blocks.drawn(first["flight"].to_numpy(), first["start"].to_numpy(), both, seed)
         mean, draws = np.sqrt(both.mean(axis=0)), np.sqrt(found.sums)
-        gone, drawn = (1.0 - part[..., 1, :] / np.maximum(part[..., 0, :], 1e-150) for part in (mean, draws))
+        gone, drawn = (-np.diff(p, axis=-2)[..., 0, :] / np.maximum(p[..., 0, :], 1e-150) for p in (mean, draws))
         for k, quantity in enumerate(names):
             low, high = blocks.interval(float(gone[k]), drawn[:, k], found.wider)
             rows.append(
@@ -225,7 +225,8 @@ def overlays(models: Mapping[str, Model], flights: Sequence[Flight], horizon: fl
             runs = [
                 simulated(m, flight, starts, horizon) for m in (next(iter(models.values())), [*models.values()][-1])
             ]
-            ends = [finite(compute_errors(run, flight.states, starts)["velocity"][:, -1]) for run in runs]
+            ends = [compute_errors(run, flight.states, starts)["velocity"][:, -1] for run in runs]
+            ends = [finite(end, *ends) for end in ends]
             with np.errstate(all="ignore"):  # of what diverges
                 changes = finite(np.linalg.norm((runs[1] - runs[0])[:, -1, UVW], axis=1))
             found += [(old - new, old, number, s, change) for old, new, s, change in zip(*ends, starts, changes)]
@@ -252,8 +253,14 @@ def overlays(models: Mapping[str, Model], flights: Sequence[Flight], horizon: fl
     return pd.concat(parts, ignore_index=True)
 
 
-def finite(values: np.ndarray | pd.Series) -> np.ndarray:
-    """Errors, those of diverged windows replaced by the largest finite one."""
-    values = np.asarray(values, float)
-    fine = np.isfinite(values)
-    return np.where(fine, values, values[fine].max() if fine.any() else 0.0)
+def finite(values: np.ndarray | pd.Series, *others: np.ndarray | pd.Series) -> np.ndarray:
+    """Errors, those of diverged windows replaced by the largest finite one of these and of the others.
+
+    others  errors of the same windows under other models: what diverges under one alone is no smaller there. Where
+    nothing is finite all are infinite, and 0 with others: then no model is better.
+    """
+    every = np.concatenate([np.ravel(np.asarray(v, float)) for v in (values, *others)])
+    largest = every[np.isfinite(every)].max(initial=0.0)
+    if not others and len(every) and not np.isfinite(every).any():
+        largest = np.inf
+    return np.where(np.isfinite(values), values, largest)
