@@ -375,23 +375,26 @@ def _next_to_unknown(case: Case, settled: Settled, found: Found, left: unexplain
 
 
 def _fainter_than_unknown(case: Case, settled: Settled, found: Found, left: unexplained.Left) -> Settled:
-    """Without names and ties where the axis that shows them most holds something clearer that no cause explains.
-
-    The functions that describe an unknown error have not its form. What they leave of it is large enough to be
-    significant, and may look like anything."""
-    unknown = [(AXES.index(e["channel"]), e["since"], e["evidence"]["p"], e["where"]) for e in left.entries]
+    """Without names and ties where the axis that shows them most, or any axis where theirs disagree, holds something
+    clearer that no cause explains. The functions that describe an unknown error have not its form: what they leave of
+    it may look like anything."""
+    unknown = left.entries or errors_beyond_references(case, settled, found)
+    tied = {tie.tests[0].offer: tie for _, tie in found.ties}
 
     def why(cause: Cause) -> str:
         own, usual = _power(cause, case)
-        axis = int(np.argmax(own / np.maximum(usual, 1e-300)))
-        for k, since, p, where in unknown:
-            if (k, since) == (axis, cause.since) and p < cause.test.p:
+        axes, tie = [int(np.argmax(own / np.maximum(usual, 1e-300)))], tied.get(cause.test.offer)
+        chance, apart = (cause.test.p, cause.apart) if tie is None else (tie.tests[0].p, tie.apart)
+        axes = axes if apart <= 1.0 else seen_in(cause.effect)
+        for entry in unknown:
+            channel, where, p = entry["channel"], entry["where"], entry["evidence"]["p"]
+            if AXES.index(channel) in axes and entry["since"] == cause.since and p < chance:
                 along = where if where == EVERYWHERE else f"along the {where}"
-                return f"{AXES[axis]} differs {along} in a way that no cause explains, and more clearly (p = {p:.2g})"
+                return f"{channel} differs {along} in a way that no cause explains, and more clearly (p = {p:.2g})"
         return ""
 
-    for tied in [c for c in found.stand_ins if why(c)]:
-        _drop_ties(found, tied, why(tied))
+    for stand_in in [c for c in found.stand_ins if why(c)]:
+        _drop_ties(found, stand_in, why(stand_in))
     for cause in settled.causes:
         settled = _without(settled, cause, why(cause)) if why(cause) else settled
     return settled

@@ -16,6 +16,7 @@ from quasi.gap.diagnosis import _suspected, verdict_of
 from quasi.gap.levels.rollouts.confirmation import Confirmation
 from quasi.gap.losses import Loss, drive_losses, only_loss, trim_is_usual
 from quasi.gap.report.wording import tie_sentence
+from quasi.gap.statistics.candidates import Candidate
 from quasi.gap.verdict import drowned, reject_losing_causes
 from quasi.model.model import AXES, Model
 
@@ -305,22 +306,25 @@ def test_a_cause_far_below_an_unknown_error_of_its_axes_gives_way(made, unknown,
     assert drowned(own, np.array([0.1] * 3 + [1e-3] * 3) ** 2, there) is gives_way
 
 
-def shown_by(name, p, axis, since="changed"):
-    test = SimpleNamespace(p=p, offer=SimpleNamespace(cause=name))
-    return SimpleNamespace(effect=SimpleNamespace(id=name), since=since, test=test, axis=axis)
+def shown_by(name, p, axis, since="changed", apart=1.0):
+    test = SimpleNamespace(p=p, offer=Candidate(name, since, (0,)))
+    effect = SimpleNamespace(id=name, channels=("Fz", "Mz"))
+    return SimpleNamespace(effect=effect, since=since, test=test, axis=axis, apart=apart)
 
 
 @pytest.mark.parametrize(
-    ("channel", "p", "since", "gives_way"),
-    [("Mz", 1e-20, "changed", True), ("Mz", 1e-3, "changed", False),  # the unknown is fainter
-     ("Fz", 1e-20, "changed", False), ("Mz", 1e-20, "always", False)],
+    ("channel", "p", "since", "apart", "gives_way"),
+    [("Mz", 1e-20, "changed", 1.0, True), ("Mz", 1e-3, "changed", 1.0, False),  # the unknown is fainter
+     ("Fz", 1e-20, "changed", 1.0, False), ("Mz", 1e-20, "always", 1.0, False),
+     # axes that disagree show a form that is not the cause's: each of them may be the unknown's
+     ("Fz", 1e-20, "changed", 2.5, True), ("Fx", 1e-20, "changed", 2.5, False)],
 )  # fmt: skip
 def test_a_name_or_tie_gives_way_to_something_clearer_on_its_axis_that_no_cause_explains(
-    monkeypatch, channel, p, since, gives_way
+    monkeypatch, channel, p, since, apart, gives_way
 ):
     """Rotors that drag at their hubs damp yaw; what a function of the rate left of that had been a tilted rotor."""
-    named, first = shown_by("rotor_tilt", 1e-9, 5), shown_by("torque_factor", 1e-7, 5)
-    tie = SimpleNamespace(tests=[first.test, SimpleNamespace(p=1e-7, offer=SimpleNamespace(cause="inertia"))])
+    named, first = shown_by("rotor_tilt", 1e-9, 5, apart=apart), shown_by("torque_factor", 1e-7, 5)
+    tie = SimpleNamespace(tests=[first.test, shown_by("inertia", 1e-7, 5).test], apart=apart)
     found = SimpleNamespace(ties=[("changed", tie)], stand_ins=[first], contradicted={})
     confirmation = Confirmation(verdict.CONFIRMED, 1.0, 0.1, 5.0)
     settled = SimpleNamespace(causes=[named], confirmations={("rotor_tilt", "changed"): confirmation}, dropped=[])
@@ -330,7 +334,7 @@ def test_a_name_or_tie_gives_way_to_something_clearer_on_its_axis_that_no_cause_
     result = verdict._fainter_than_unknown(None, settled, found, SimpleNamespace(entries=[entry]))
     assert bool(result.causes) is bool(found.ties) is bool(found.stand_ins) is not gives_way
     if gives_way:
-        why = "Mz differs along the yaw rate in a way that no cause explains, and more clearly (p = 1e-20)"
+        why = f"{channel} differs along the yaw rate in a way that no cause explains, and more clearly (p = 1e-20)"
         assert [c.why for _, c in result.dropped] == [why] and result.dropped[0][1].outcome == verdict.REFUTED
         assert {name: text for name, (_, text) in found.contradicted.items()} == dict.fromkeys(
             ("torque_factor", "inertia"), why

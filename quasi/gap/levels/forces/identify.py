@@ -196,7 +196,7 @@ def _widened(
     are estimated without it; of these, those that were significant only with it given go as well, one that only axes
     without a say show, and one that is excessive or not physical any more. What was left out, or is impossible, stands
     for something unknown; what explains next to nothing of it may be the error of its form. So may a small change of
-    what all flights show anyway, next to a clearer one.
+    what all flights show anyway, next to a clearer one; and a cause that needs one of a tie is as unsure as that.
     """
     kept, tied, vague, torn = list(causes), list(ties), {}, []
 
@@ -205,6 +205,18 @@ def _widened(
         others, pooled = [o for o in every if o != test.offer], sought.mixed.pooled(test.offer.since)
         level = sought.level[test.offer.since]
         return not (profile.is_possible(test) or is_absent(test, profile, sought.mixed, others, pooled, level))
+
+    def leans(test: Test, every: Sequence[Candidate]) -> str:
+        """Why a cause is there with the first cause of a tie alone, not with another in its place; "" where it is."""
+        for first, *others in (tie.tests for _, tie in tied):
+            for other in others:
+                given = [other.offer if o == first.offer else o for o in every if o != test.offer]
+                again = sought.mixed.test(test.offer, given, sought.mixed.pooled(test.offer.since))
+                same = test.value @ np.linalg.solve(again.covariance, again.value) > 0.0
+                if again.p >= sought.level[test.offer.since] or not same:
+                    how = f"p = {again.p:.2g}" if same else "it has the other sign"
+                    return f"with {other.offer.cause} in place of {first.offer.cause}, which look alike, {how}"
+        return ""
 
     def enough(one: tuple) -> float:
         return sought.level[one[1].offer.since] if isinstance(one[0], Cause) else SURELY
@@ -228,6 +240,7 @@ def _widened(
         clearest = min((one[1].p for one in listed if one[1].offer.since == "changed"), default=1.0)
         usual = [one for one in listed if one[1].p > clearest and _is_form_of_usual(one[1], every, sought)]
         outside = [one for one in listed if isinstance(one[0], Cause) and beyond(one[1], every)]
+        leaning = [(one, why) for one in listed if isinstance(one[0], Cause) and (why := leans(one[1], every))]
         if outside:
             worst, test, _ = max(outside, key=lambda one: one[1].p)
             unknown.append(test)
@@ -244,6 +257,8 @@ def _widened(
             worst, test, _ = max(faint, key=lambda one: one[1].p)
             where = f"without {' and '.join(torn)}, whose axes differ" if torn else "on the axes where its form holds"
             why = f"p = {test.p:.2g} {where}"
+        elif leaning:
+            (worst, test, _), why = max(leaning, key=lambda one: one[0][1].p)
         elif small:
             worst, test, _ = min(small, key=lambda one: one[1].wald)
             why = "it explains so little that it may be the error of the form of what no cause explains on its axes"
