@@ -1,6 +1,7 @@
 """Causes that always were and that changed as well, axes that do not count, flights that differ: one answer for all."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -16,6 +17,7 @@ from quasi.gap.flights.evidence import Evidence
 from quasi.gap.flights.instruments import shown
 from quasi.gap.flights.level import Level
 from quasi.gap.levels.corrections import document
+from quasi.gap.levels.forces import identify as identify_forces
 from quasi.gap.levels.forces.design import gather_design, refit_with
 from quasi.gap.levels.forces.error_reduction import after, wrench_score
 from quasi.gap.levels.forces.held_out import HeldOut
@@ -28,7 +30,8 @@ from quasi.gap.levels.sensors import held_out, identify
 from quasi.gap.losses import _of_forces, wrench_pairs
 from quasi.gap.materiality import Cause, material
 from quasi.gap.own_effect import effect_of
-from quasi.gap.statistics.candidates import Candidate
+from quasi.gap.selection import Tie
+from quasi.gap.statistics.candidates import Candidate, Test
 from quasi.gap.statistics.whitening import autoregression
 from quasi.model.model import AXES, Model
 from quasi.terms.canonical import canonicalise
@@ -244,3 +247,34 @@ def test_a_thrust_factor_acts_with_the_whole_of_its_range(factor):
 @pytest.mark.parametrize(("one", "other"), [("((u+v)^-2)^0.5", "(u+v)^-1"), ("((u+v)^2)^0.5", "u+v")])
 def test_the_size_of_a_sum_is_not_the_sum(one, other):
     assert canonicalise(parse(one))[1] != canonicalise(parse(other))[1]
+
+
+@pytest.mark.parametrize(("with_the_other", "words"), [
+    ((6.0, 1e-9), ""), ((1.0, 0.3), "with body_drag in place of rotor_drag, which look alike, p = 0.3"),
+    ((-6.0, 1e-9), "with body_drag in place of rotor_drag, which look alike, it has the other sign"),
+])  # fmt: skip
+def test_a_name_holds_with_every_cause_of_a_tie(monkeypatch, with_the_other, words):
+    """Drag along all axes is a tie of drags; what rotor drag leaves of it in climbs was named axial inflow."""
+
+    class Together:
+        def pooled(self, since):
+            return []
+
+        def test(self, offer, given, pooled):
+            other = offer.cause == "axial_inflow" and "body_drag" in {o.cause for o in given}
+            value, p = with_the_other if other else (6.0, 1e-9)
+            count = len(offer.which)
+            return Test(offer, np.full(count, value), np.eye(count), 1.0, value**2, p)
+
+    asked = {n: CAUSES[n] for n in ("rotor_drag", "body_drag", "axial_inflow")}
+    tests = {n: Together().test(Candidate(n, "changed", (0,)), [], []) for n in asked}
+    monkeypatch.setattr(identify_forces, "hear", lambda _, __, test, *___: (test.p, 1.0))
+    sought = SimpleNamespace(
+        mixed=Together(), study=None, level={"changed": 1e-3}, flown=None, ranking=[], passed={},
+        rules=SimpleNamespace(is_excessive=lambda _: False),
+    )  # fmt: skip
+    named = [Cause(asked["axial_inflow"], "changed", {}, {}, tests["axial_inflow"], [])]
+    tied = [("changed", Tie([tests["rotor_drag"], tests["body_drag"]], 3.0))]
+    kept, ties, vague = identify_forces._widened(named, tied, [], sought, COMPARED, asked, {})
+    assert ([c.effect.id for c in kept] == ["axial_inflow"]) is not bool(words) and len(ties) == 1
+    assert {n: why for n, (_, why) in vague.items()} == ({"axial_inflow": words} if words else {})
