@@ -382,10 +382,9 @@ def _fainter_than_unknown(case: Case, settled: Settled, found: Found, left: unex
     tied = {tie.tests[0].offer: tie for _, tie in found.ties}
 
     def why(cause: Cause) -> str:
-        own, usual = _power(cause, case)
-        axes, tie = [int(np.argmax(own / np.maximum(usual, 1e-300)))], tied.get(cause.test.offer)
+        (own, usual), tie = _power(cause, case), tied.get(cause.test.offer)
         chance, apart = (cause.test.p, cause.apart) if tie is None else (tie.tests[0].p, tie.apart)
-        axes = axes if apart <= 1.0 else seen_in(cause.effect)
+        axes = seen_in(cause.effect) if apart > 1.0 else [int(np.argmax(own / np.maximum(usual, 1e-300)))]
         for entry in unknown:
             channel, where, p = entry["channel"], entry["where"], entry["evidence"]["p"]
             if AXES.index(channel) in axes and entry["since"] == cause.since and p < chance:

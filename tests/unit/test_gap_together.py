@@ -31,7 +31,8 @@ from quasi.gap.losses import _of_forces, wrench_pairs
 from quasi.gap.materiality import Cause, material
 from quasi.gap.own_effect import effect_of
 from quasi.gap.selection import Tie
-from quasi.gap.statistics.candidates import Candidate, Test
+from quasi.gap.statistics import mixed as tests_on
+from quasi.gap.statistics.candidates import Candidate
 from quasi.gap.statistics.whitening import autoregression
 from quasi.model.model import AXES, Model
 from quasi.terms.canonical import canonicalise
@@ -264,7 +265,7 @@ def test_a_name_holds_with_every_cause_of_a_tie(monkeypatch, with_the_other, wor
             other = offer.cause == "axial_inflow" and "body_drag" in {o.cause for o in given}
             value, p = with_the_other if other else (6.0, 1e-9)
             count = len(offer.which)
-            return Test(offer, np.full(count, value), np.eye(count), 1.0, value**2, p)
+            return tests_on.Test(offer, np.full(count, value), np.eye(count), 1.0, value**2, p)
 
     asked = {n: CAUSES[n] for n in ("rotor_drag", "body_drag", "axial_inflow")}
     tests = {n: Together().test(Candidate(n, "changed", (0,)), [], []) for n in asked}
