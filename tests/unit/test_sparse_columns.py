@@ -124,6 +124,17 @@ def test_an_attitude_that_was_never_estimated_turns_nothing(tmp_path, flown):  #
         read_table_log(saved(tmp_path, table), PLAN, 14)
 
 
+def test_optional_commands_of_motors_that_never_ran_are_absent(tmp_path, flown):  # noqa: F811
+    _, _, table = flown
+    plan = copy.deepcopy(PLAN)
+    commands = {f"command{i}": {"column": f"c{i}", "optional": True} for i in range(1, 5)}
+    plan["sources"][1]["columns"] |= commands
+    table = table.assign(**{f"c{i}": 0.0 for i in range(1, 5)})
+    recording = read_table_log(saved(tmp_path, table), plan, 14)
+    assert "command1" not in recording.series["onboard motors"].values
+    assert any("has no battery_voltage, command1" in note for note in recording.notes)
+
+
 @pytest.mark.parametrize(("names", "rotors"), [
     ([f"output[{i}]" for i in range(16)], [f"output[{i}]" for i in range(4)]),
     ([f"motor[{i}]" for i in range(4)], [f"motor[{i}]" for i in range(4)]),

@@ -60,9 +60,11 @@ def compare_model_files(
         raise ConfigError(f"model {a.id} is {a.gravity}, model {b.id} {b.gravity}; compare models of the same forces")
     if not flights:
         flights = held_out_of_both(a, b)
-    paths = [filtered_flight(name, directory, a.gravity) for name in flights]
-    tables = {path.stem: read_table(path) for path in paths}
-    rows = compare_models(a, b, tables, {path.stem: read_made(path).get("mass") for path in paths})
+    paths = dict.fromkeys(filtered_flight(name, directory, a.gravity) for name in flights)
+    stems = [path.stem for path in paths]
+    keys = {path: path.stem if stems.count(path.stem) == 1 else str(path) for path in paths}
+    tables = {key: read_table(path) for path, key in keys.items()}
+    rows = compare_models(a, b, tables, {key: read_made(path).get("mass") for path, key in keys.items()})
     names = (a.id, b.id) if a.id != b.id else (f"{a.id} (A)", f"{b.id} (B)")
     constants = constant_differences(constants_a, constants_b)
     plain, text = models_plain(rows, constants, names, list(tables)), models_text(rows, constants, names, list(tables))

@@ -156,8 +156,10 @@ class MappedSource:
                 lacking.add(quantity)
                 continue
             self.values[quantity] = numbers_of_column(table[name], path, name, notes) * column.factor
+        silent = not any(v[np.isfinite(v)].any() for n, v in self.values.items() if n.startswith("command"))
         for quantity, values in self.values.items():
-            if not np.isfinite(values).any() and source.columns[quantity].optional:
+            empty = not np.isfinite(values).any() or (silent and quantity.startswith("command"))
+            if empty and source.columns[quantity].optional:
                 lacking.add(quantity)
         for members in (*VECTOR_COLUMNS.values(), QUATERNION):
             if lacking & set(members):
