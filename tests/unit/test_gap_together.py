@@ -1,5 +1,6 @@
 """Causes that always were and that changed as well, axes that do not count, flights that differ: one answer for all."""
 
+import copy
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -18,7 +19,7 @@ from quasi.gap.flights.instruments import shown
 from quasi.gap.flights.level import Level
 from quasi.gap.levels.corrections import document
 from quasi.gap.levels.forces import identify as identify_forces
-from quasi.gap.levels.forces.design import gather_design, refit_with
+from quasi.gap.levels.forces.design import base_columns, gather_design, refit_with
 from quasi.gap.levels.forces.error_reduction import after, wrench_score
 from quasi.gap.levels.forces.held_out import HeldOut
 from quasi.gap.levels.forces.joint_fit import joint_of, residual_of
@@ -279,3 +280,24 @@ def test_a_name_holds_with_every_cause_of_a_tie(monkeypatch, with_the_other, wor
     kept, ties, vague = identify_forces._widened(named, tied, [], sought, COMPARED, asked, {})
     assert ([c.effect.id for c in kept] == ["axial_inflow"]) is not bool(words) and len(ties) == 1
     assert {n: why for n, (_, why) in vague.items()} == ({"axial_inflow": words} if words else {})
+
+
+def test_a_weak_rotor_acts_through_the_thrust_differences_of_yaw_but_for_those_next_to_a_velocity():
+    document = copy.deepcopy(BASE.document)
+    for text, size in (("(q)*(U_p^(1.0))", 3e-9), ("(v)*(U_q^(1.0))", 5e-9)):
+        term = {"name": text, "expression": text, "coefficient": size, "std": 0.0, "unit": "N m", "given": True}
+        document["axes"]["Mz"]["terms"].append(term)
+    model, effect = Model(document), CAUSES["rotor_effectiveness"]
+    one = replace(flight(1), model=model)
+    one = replace(one, predicted=model.predict_columns(one.columns)[list(AXES)].to_numpy())
+    weak = shown(made([(effect, {"rotor3": -0.05})], model), model, one) - one.predicted
+    column = columns_of(effect, one, vehicle_of(model), {})["rotor3"]
+    assert weak[:, 5] == pytest.approx(-0.05 * column[:, 5], abs=1e-3 * np.abs(weak[:, 5]).max())
+    left = model.airframe.left[2]
+    assert column[:, 5] == pytest.approx(3e-9 * one.columns["q"] * left * one.columns["w3"] ** 2, rel=1e-6)
+    # and the model's own term takes up nothing of it by the trim of the others
+    own = dict(base_columns(replace(one, columns={**one.columns, "w3": one.columns["w3"] + 40.0})))
+    again = dict(base_columns(one))
+    (name,) = [n for n in own if "(q)*(U_p" in n]
+    along = [float(np.polyfit(one.columns["q"], c[name][:, 5], 1)[0]) for c in (own, again)]
+    assert along[0] == pytest.approx(along[1], abs=0.1 * 2 * 1500.0 * 40.0)

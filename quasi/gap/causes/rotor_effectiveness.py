@@ -5,9 +5,10 @@ model. Levers of hover are only the mean of that: terms such as the change of al
 differ by a third from row to row. With levers of hover the deviations of rotors planted in real recordings came out 10
 to 18 % too small, with the slopes of each row within 5 %.
 
-The model's yaw moment may hold differences of thrust as well, next to rates or speeds. They are those of the thrust
+The model's yaw moment may hold differences of thrust as well, alone or next to body rates. They are those of the thrust
 that acts. Where they were left as logged, a weak rotor was balanced by the others, and left errors along the rates that
-looked like a tilted rotor (PyFlyt, docs/other-vehicles.md).
+looked like a tilted rotor (PyFlyt, docs/other-vehicles.md). Next to a velocity they stand for drag at the hubs, which
+follows the logged speeds.
 
 How much torque a rotor takes with another thrust depends on why: a speed that is logged wrong changes both by one
 factor, a twisted blade hardly the torque. Torque is therefore a parameter of its own, asked where the thrust differs.
@@ -30,18 +31,13 @@ from quasi.gap.effect import (
 )
 from quasi.gap.flights.evidence import Evidence
 from quasi.model.model import AXES, ROTORS, Model
-from quasi.terms.expressions import Tree, parse, text
-from quasi.terms.variables import SYNONYMS, split_function
+from quasi.terms.expressions import Program, Tree, names, parse, text
+from quasi.terms.variables import SYNONYMS, Variables, plain_name, split_function
 
 SLOPES_KNOWN = 0.05  # share, from rotors planted in real recordings: docs/measured.md
-THRUST_DIFFERENCES = (
-    "u_p",
-    "u_q",
-    "d_u_p",
-    "d_u_q",
-    "U_p",
-    "U_q",
-)  # of thrust, in the yaw moment; its rest is the shaft's
+THRUST_DIFFERENCES = frozenset({"u_p", "u_q", "U_p", "U_q"})  # of thrust, in the yaw moment; its rest is the shaft's
+VELOCITIES = frozenset({"u", "v", "w", "u_air", "v_air", "w_air", "mu_x", "mu_y", "mu_z"})
+STEP = 0.01  # of a rotor's share, for slopes of what is nearly straight
 NUMBERS = range(1, 5)
 LOWEST, HIGHEST = 0.3, 2.0  # physical: a rotor without two thirds of its thrust does not fly
 
@@ -59,22 +55,45 @@ def _terms(vehicle: Vehicle) -> dict[str, Terms]:
 
 def _columns(evidence: Evidence, _: Values) -> dict[str, np.ndarray]:
     slopes = evidence.gradient(*ROTORS) * (0.5 * evidence.speeds)[:, None, :]  # by the logarithm of squared speed
-    slopes[:, AXES.index("Mz")] = _of_differences(evidence.model.airframe, slopes[:, AXES.index("Mz")], evidence.speeds)
+    slopes[:, AXES.index("Mz")] = _yaw_slopes(evidence)
     torques = -evidence.spin * evidence.torque
     return {f"rotor{i}": slopes[:, :, i - 1] for i in NUMBERS} | {
         f"torque{i}": evidence.only("Mz", torques[:, i - 1]) for i in NUMBERS
     }
 
 
-def _of_differences(frame: Airframe, slopes: np.ndarray, speeds: np.ndarray) -> np.ndarray:
-    """What of slopes (n, 4) of the yaw moment, by the logarithms of squared speeds, goes through roll and pitch thrust.
+def _yaw_slopes(evidence: Evidence) -> np.ndarray:
+    """Slopes (n, 4) of the yaw moment by the rotors' shares, through the differences of thrust that it holds."""
+    terms = [t for t in _terms_of(evidence.model, "Mz") if holds_thrust(t[0])]
+    result = np.zeros((len(evidence), 4))
+    if not terms:
+        return result
+    variables = Variables(evidence.columns, evidence.model.airframe, evidence.model.hover_speed)
+    for i in range(4):
+        for sign in (1.0, -1.0):
+            shares = np.ones(4)
+            shares[i] += sign * STEP
+            acting = _effective_speeds(evidence.model.airframe, shares)
+            program = Program([_replace(tree, _differences(acting)) for tree, _ in terms])
+            values = program.run({name: variables[name] for name in program.names}, len(evidence))
+            result[:, i] += sign / (2.0 * STEP) * sum(c * v for (_, c), v in zip(terms, values))
+    return result
 
-    Differences left to right, front to aft and by spin, and the sum, are orthogonal in squared speeds. The shaft's
-    moment goes through the other two. Of terms in plain speeds a little goes to the wrong pair.
-    """
-    each = slopes / speeds**2
-    through = sum(np.outer(each @ pattern, pattern) for pattern in (frame.left, frame.front)) / 4.0
-    return through * speeds**2
+
+def _terms_of(model: Model, axis: str) -> list[tuple[Tree, float]]:
+    """An axis' terms and coefficients, without those that stand in for a part with states of its own."""
+    terms = model.document["axes"].get(axis, {"terms": []})["terms"]
+    return [(parse(t["expression"]), t["coefficient"]) for t in terms if t["coefficient"] and not t.get("stands for")]
+
+
+def holds_thrust(tree: Tree) -> bool:
+    """Whether a term of the yaw moment holds a difference of thrust, and no velocity."""
+    held = {plain_name(name) for name in names(tree)}
+    return bool(held & THRUST_DIFFERENCES) and not held & VELOCITIES
+
+
+def _differences(acting: Mapping[str, Tree]) -> dict[str, Tree]:
+    return {name: tree for name, tree in acting.items() if name in THRUST_DIFFERENCES}
 
 
 def _extension(values: Values, vehicle: Vehicle, model: Model) -> Extension:
@@ -87,14 +106,13 @@ def _extension(values: Values, vehicle: Vehicle, model: Model) -> Extension:
     for i in NUMBERS:
         if share := values.get(f"torque{i}", 0.0):
             terms.setdefault("Mz", []).append((_terms(vehicle)[f"torque{i}"]["Mz"], share))
-    differences = {name: tree for name, tree in effective.items() if name in THRUST_DIFFERENCES}
     for axis in AXES:
-        for term in model.document["axes"].get(axis, {"terms": []})["terms"]:
-            tree = parse(term["expression"])
-            acting = _replace(tree, effective if axis != "Mz" else differences)
-            if acting != tree and term["coefficient"] and not term.get("stands for"):
-                pair = [(text(acting), term["coefficient"]), (term["expression"], -term["coefficient"])]
-                terms.setdefault(axis, []).extend(pair)
+        for tree, coefficient in _terms_of(model, axis):
+            if axis == "Mz" and not holds_thrust(tree):
+                continue
+            acting = _replace(tree, _differences(effective) if axis == "Mz" else effective)
+            if acting != tree:
+                terms.setdefault(axis, []).extend([(text(acting), coefficient), (text(tree), -coefficient)])
     return Extension(terms=terms)
 
 

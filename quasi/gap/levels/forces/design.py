@@ -9,6 +9,7 @@ import numpy as np
 
 from quasi.errors import DataError, ExpressionError
 from quasi.gap.catalogue import beyond_slope, columns_of, corrected, in_columns
+from quasi.gap.causes.rotor_effectiveness import THRUST_DIFFERENCES, holds_thrust
 from quasi.gap.effect import Effect, Vehicle, as_flown, vehicle_of
 from quasi.gap.flights.evidence import Evidence
 from quasi.gap.flights.sessions import units
@@ -134,13 +135,21 @@ def refit(
 
 
 def base_columns(evidence: Evidence) -> list[tuple[str, np.ndarray]]:
-    """Columns (n, 6) of the model's own terms."""
+    """Columns (n, 6) of the model's own terms.
+
+    Yaw moments that differences of thrust make next to rates are small and little known. By a weak rotor's trim, which
+    is no thrust, they could take up what that rotor does: such differences count from their mean.
+    """
     variables = Variables(evidence.columns, evidence.airframe, evidence.model.hover_speed)
     result = []
     for axis in AXES:
         for term in evidence.model.document["axes"].get(axis, {"terms": []})["terms"]:
-            program = Program([parse(term["expression"])])
-            values = program.run({n: variables[n] for n in program.names}, len(evidence))[0]
+            tree = parse(term["expression"])
+            program, centred = Program([tree]), axis == "Mz" and holds_thrust(tree)
+            known = {n: variables[n] for n in program.names}
+            if centred:
+                known |= {n: known[n] - known[n].mean() for n in THRUST_DIFFERENCES & known.keys()}
+            values = program.run(known, len(evidence))[0]
             result.append((f"{axis}: {term['expression']}", evidence.only(axis, values)))
     return result
 
