@@ -80,7 +80,9 @@ def prepare_flight(
     middle = 0.5 * (rates[1:] + rates[:-1])
     inertia = np.asarray(airframe.inertia, float)
     moments = slope @ inertia.T + np.cross(middle, middle @ inertia.T)
-    targets = {"Fz": mass * raw("az")[1:], **{axis: moments[:, i] for i, axis in enumerate(JOINT_AXES[1:])}}
+    lift = mass * raw("az")
+    # like the rates' slopes, between two blocks
+    targets = {"Fz": 0.5 * (lift[1:] + lift[:-1]), **{axis: moments[:, i] for i, axis in enumerate(JOINT_AXES[1:])}}
     air = {n: f"{n}_air" if f"{n}_air" in flight else n for n in "uvw"}
     columns = {n: mean(flight[air[n]].to_numpy(float)) for n in "uvw"}
     columns = {n: 0.5 * (c[1:] + c[:-1]) for n, c in columns.items()}
@@ -142,7 +144,6 @@ class JointFit:
         self.scale = dict.fromkeys(JOINT_AXES, 1.0)
         self.with_voltage = with_voltage
         self.independent = 1.0  # independent rows of the vertical force over all its rows
-        self.criterion = np.inf
         self.covariance = np.zeros((len(self.x), len(self.x)))
 
     def thrusts(self, flight: PreparedFlight, x: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -258,9 +259,7 @@ class JointFit:
         solved = self.solve(self.x)
         count = len(solved["Fz"][2])
         self.sigma = {axis: float(np.std(part[2])) for axis, part in solved.items()}
-        free = len(self.x) + sum(len(part[0]) for part in solved.values())
-        rows = {axis: count * (self.independent if axis == "Fz" else 1.0) for axis in JOINT_AXES}
-        self.criterion = 2.0 * sum(rows[a] * np.log(s) for a, s in self.sigma.items()) + free * np.log(count)
+        self.count, self.free = count, len(self.x) + sum(len(part[0]) for part in solved.values())
         self.coefficients = {axis: part[0] for axis, part in solved.items()}
         self.scale = {a: s / np.sqrt(self.independent if a == "Fz" else 1.0) for a, s in self.sigma.items()}
         jacobian = np.empty((count * len(JOINT_AXES), len(self.x)))
@@ -286,6 +285,11 @@ class JointFit:
                 slopes.append((self.solve(moved)[axis][0] - part[0]) / step)
             turn = np.array(slopes)
             self.errors[axis] = np.sqrt(np.diag(variance + turn.T @ self.covariance @ turn))
+
+    def criterion(self, independent: float) -> float:
+        """BIC. independent  share of the vertical force's rows, the same for all forms that are compared."""
+        rows = {axis: self.count * (independent if axis == "Fz" else 1.0) for axis in JOINT_AXES}
+        return 2.0 * sum(rows[a] * np.log(s) for a, s in self.sigma.items()) + self.free * np.log(self.count)
 
     def places(self, axis: str) -> dict[str, list[float]]:
         """Moment per N of thrust of each rotor: "value", "std" (4,) m, each rotor by itself."""

@@ -97,7 +97,9 @@ def identify_rotor_speeds(
         fits[name] = JointFit(name, list(made.values()), airframe, reference is not None)
         fits[name].run(begin)
         begin = begin if begin is not None else fits[name]
-    best = min(fits, key=lambda n: fits[n].criterion)
+    share = next(iter(fits.values())).independent
+    scores = {n: fit.criterion(share) for n, fit in fits.items()}
+    best = min(scores, key=lambda n: scores[n])
     fit = _with_warm_up(fits[best], notes)
     yaw = fit_yaw(fit)
     drive = _as_plain(fit, best, kind, operating, reference, list(made), airframe, masses, known or {})
@@ -107,7 +109,7 @@ def identify_rotor_speeds(
     for axis, factor in drive["factors"].items():
         factor["std"], factor["between flights"] = factor_error(fit, axis, factor["std"])
     drive["candidates"] = [
-        {"form": n, "BIC": f.criterion - fits[best].criterion, "parameters": len(f.x)} for n, f in fits.items()
+        {"form": n, "BIC": scores[n] - scores[best], "parameters": len(f.x)} for n, f in fits.items()
     ]
     drive["geometry"] = {axis: _places(fit, axis, drive["factors"][axis]) for axis in JOINT_AXES[1:]}
     _note_errors(drive, notes)

@@ -63,6 +63,11 @@ def teach_map(
             f"others, {MIN_SECONDS:g} s are needed; log rotor speeds for longer, or leave the others out"
         )
     found = {form: _fit(form, list(taught.values()), reference is not None) for form in forms}
+    # a form that does not fit leaves residuals that remember: all forms have the rows of the one that fits best
+    memory = min(found.values(), key=lambda fit: fit["squares"])["memory"]
+    for fit in found.values():
+        rows, count = fit["count"] / memory, len(fit["x"]) + 4
+        fit["criterion"] = rows * np.log(fit["squares"]) + count * np.log(fit["count"])
     best = min(found, key=lambda form: found[form]["criterion"])
     return _as_plain(found, best, list(flights), operating, reference)
 
@@ -110,18 +115,19 @@ def _fit(form: str, flights: Sequence[_Taught], with_voltage: bool) -> dict[str,
     # neighbouring residuals resemble each other: each counts for the share that is its own
     lengths = np.cumsum([len(f.rows) for f in flights])
     series = np.split(np.arange(lengths[-1]), lengths[:-1])
-    memory = np.mean(memory_windows(residual.T, series)) / 5.0
-    variance = float(np.mean(residual**2)) * max(memory, 1.0)
-    covariance = variance * np.linalg.pinv(jacobian.T @ jacobian)
-    rows = residual.size / max(memory, 1.0)
+    memory = max(np.mean(memory_windows(residual.T, series)) / 5.0, 1.0)
+    squares = float(np.mean(residual**2))
+    covariance = squares * memory * np.linalg.pinv(jacobian.T @ jacobian)
     means = [np.mean(r, axis=0) for r in np.split(residual, lengths[:-1])]
     return {
         "names": ("time constant", "delay", *about.names, *(("voltage exponent",) if with_voltage else ())),
         "x": x,
         "speeds": at,
         "covariance": covariance,
-        "criterion": rows * np.log(np.mean(residual**2)) + (len(x) + 4) * np.log(residual.size),
-        "within": float(np.sqrt(np.mean(residual**2))) / float(np.mean(speeds)),
+        "memory": memory,
+        "squares": squares,
+        "count": residual.size,
+        "within": float(np.sqrt(squares)) / float(np.mean(speeds)),
         "between": float(np.std(means, ddof=1)) / float(np.mean(speeds)) if len(flights) > 1 else None,
     }
 

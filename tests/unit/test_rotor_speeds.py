@@ -21,12 +21,14 @@ from quasi.identification.geometry import contradicting_places
 from quasi.identification.joint_fit import JointFit, prepare_flight
 from quasi.identification.map_error import add_map_error
 from quasi.identification.rotor_speeds import (
+    CANDIDATES,
     actuators_of,
     factors_of,
     identify_rotor_speeds,
     places_of,
     rotor_speeds_of,
 )
+from quasi.identification.taught_map import teach_map
 from quasi.importing.command_units import recognise_unit, scale_commands
 from quasi.model.model import Model
 from quasi.sensor_limits import find_missing_sources, find_silent_rotors
@@ -357,3 +359,32 @@ def test_a_filtered_flight_gets_speeds_with_their_slopes_in_its_band(flights, fo
     np.testing.assert_allclose(own["w1"] / common["w1"], trim[0], rtol=1e-6)
     with pytest.raises(DataError, match="flight a holds no rotor speeds"):
         add_estimated_speeds(table, made, None)
+
+
+@pytest.mark.parametrize("scale", [1.0, 1e3])
+def test_the_form_of_a_joint_map_is_the_same_in_other_units(scale):
+    """Mass and inertia a thousand times as large are forces in mN: the same map, lag and warm-up."""
+    made = {x: flight(n, 25.0, hidden=0.004, cold=0.06) for x, n in zip("ab", (1, 2))}
+    airframe = dataclasses.replace(to_draw(), inertia=scale * np.asarray(to_draw().inertia))
+    found, _ = identify_rotor_speeds(made, airframe, dict.fromkeys(made, scale * MASS))
+    late = found["time constant"]["value"] + found["delay"]["value"]
+    assert found["form"] == "linear" and late == pytest.approx(0.052, abs=0.003)
+    assert found["warm-up drop"]["value"] == pytest.approx(0.057, abs=0.008)
+
+
+@pytest.mark.parametrize("noise", [3.0, 8.0])
+@pytest.mark.parametrize("unit", [1.0, 1e-3])
+def test_the_form_of_a_taught_map_is_that_which_fits_whatever_the_noise_and_the_unit(noise, unit):
+    """A form that does not fit leaves residuals that remember, and so fewer rows: that must not make it win."""
+    rng, made = np.random.default_rng(1), {}
+    for key in "ab":
+        t = 0.004 * np.arange(10000)
+        frame = {"t": t}
+        for i in range(1, 5):
+            waves = (0.06 * np.sin(2 * np.pi * f * t + rng.uniform(0, 6.28)) for f in (0.2, 0.7, 1.9, 3.1))
+            frame[f"command{i}"] = 0.45 + sum(waves)
+            speed = lagged(2000.0 * frame[f"command{i}"][:, None], 0.004, 0.04, 0.012)[:, 0]
+            frame[f"w{i}"] = unit * (speed + noise * rng.standard_normal(len(t)))
+        made[key] = pd.DataFrame(frame)
+    found = teach_map(made, {k: np.ones(10000, bool) for k in made}, CANDIDATES)
+    assert found["form"] == "linear" and found["time constant"]["value"] == pytest.approx(0.04, abs=0.002)

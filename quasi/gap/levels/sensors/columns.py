@@ -134,7 +134,12 @@ def noise_free(
         inner, right = (total - used[near].T @ of[near] for total, of in zip(whole, (used, target)))
         own = start + np.flatnonzero(usable[start : start + lag])
         predicted[own] = instruments[own] @ np.linalg.lstsq(inner, right, rcond=1e-12)[0]
-    return predicted
+    # weights that were learnt elsewhere predict too much: by the values' slope on it, for their noises are apart. Where
+    # less than half of what they predict is signal, that slope is noise
+    from_mean = predicted - predicted[usable].mean(axis=0)
+    power = np.sum(from_mean[usable] ** 2, axis=0)
+    slope = np.sum(from_mean[usable] * (values[usable] - values[usable].mean(axis=0)), axis=0)
+    return predicted + np.where(slope > 0.5 * power, slope / np.maximum(power, 1e-300) - 1.0, 0.0) * from_mean
 
 
 def least_noise(raw: np.ndarray, rates: np.ndarray, other: np.ndarray, good: np.ndarray, rate: float) -> np.ndarray:
