@@ -26,7 +26,7 @@ from quasi.importing.onboard_log import (
 from quasi.importing.readers.reader import Request
 from quasi.importing.readers.registry import read_capture
 from quasi.importing.reconstruction import Completed
-from quasi.importing.same_samples import find_same_flights, sketch
+from quasi.importing.same_samples import find_same_flights, sketches_of
 from quasi.importing.series import Recording, Series
 from quasi.importing.wind import read_lvm
 from quasi.project.gaps import HELD
@@ -36,7 +36,7 @@ from quasi.tables import read_json, write_json
 
 Read = tuple[dict[str, Any], list[Series], list[str]]  # facts on a source, its series, the notes of its reader
 INSPECTION_MEMORY = ".snakemake/quasi/inspected"  # results of inspections, in the project folder
-SCHEMA = "quasi.inspection/1"
+SCHEMA = "quasi.inspection/2"
 ROTORS = ("w1", "w2", "w3", "w4")
 COMMANDS = tuple(f"command{i}" for i in range(1, 5))
 ALL_STOPPED = "the speeds of all rotors are 0 throughout: bidirectional DShot is off"
@@ -107,7 +107,7 @@ def _read_onboard(flight: Mapping[str, Any], quadrotor: Mapping[str, Any]) -> Re
         "firmware": (about.get("firmware") or {}).get("revision", ""),
         "log": about.get("log"),
         "logs": len(about["logs"]) if about.get("logs") else None,
-        "samples": sketch(gyro.values),
+        "samples": sketches_of(gyro, recording.series),
         **_sampling(gyro.t),
     }
     return facts, list(recording.series.values()), notes

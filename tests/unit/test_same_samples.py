@@ -9,7 +9,8 @@ from made_lab import lay_lab
 
 from quasi.command import main
 from quasi.importing.inspection import inspect_flight, refusals
-from quasi.importing.same_samples import find_same_flights, is_same_flight, sketch
+from quasi.importing.same_samples import find_same_flights, is_same_flight, sketches_of
+from quasi.importing.series import Series, Track
 from quasi.project.workflow import Folder
 
 
@@ -21,12 +22,35 @@ def flight(seed, step=None, number=20000):
     return gyro if step is None else step * np.round(gyro / step)
 
 
+def sketch(gyro, **more):
+    """Of a log with this gyro at 500 Hz and further quantities {name: (n, C)}, the force x y z if none is named."""
+    t = 0.002 * np.arange(len(gyro))
+    force = more.get("force", 9.81 + 3.0 * gyro)
+    series = {"onboard": Series(t, dict(zip(("ax", "ay", "az"), force.T)))}
+    if "position" in more:
+        series["capture"] = Series(t[::5] + more.get("late", 0.0), dict(zip("xyz", more["position"].T)))
+    return sketches_of(Track(t, gyro), series)
+
+
+@pytest.mark.parametrize("step", [None, np.radians(1.0)])
+def test_a_recording_in_which_a_fault_is_planted_is_another(step):
+    gyro = flight(1, step)
+    place = np.random.default_rng(3).normal(size=(4000, 3))
+    whole = sketch(gyro, position=place)
+    assert is_same_flight(whole, sketch(gyro[1:], position=place, late=-0.002))  # a row less: the same moments
+    assert is_same_flight(whole, sketch(gyro))  # without its capture
+    assert not is_same_flight(whole, sketch(gyro, force=9.9 + 3.0 * gyro, position=place))
+    assert not is_same_flight(whole, sketch(gyro, position=place, late=0.008))
+    assert not is_same_flight(whole, sketch(gyro, position=place + [0.01, 0.0, 0.0]))
+
+
 @pytest.mark.parametrize("step", [None, np.radians(1.0)])
 def test_a_flight_is_itself_in_any_part_and_no_other(step):
     whole = sketch(flight(1, step))
     for part in (slice(1, None), slice(None, -700), slice(5000, 15000)):
         assert is_same_flight(whole, sketch(flight(1, step)[part])), part
-    assert is_same_flight(whole, sketch(flight(1, step).astype(np.float32)))
+    plain = flight(1, step)
+    assert is_same_flight(whole, sketch(plain.astype(np.float32), force=9.81 + 3.0 * plain))
     others = {str(seed): sketch(flight(seed, step)) for seed in range(2, 40)}
     assert find_same_flights({"1": whole, **others}) == []
     assert find_same_flights({"1": whole, **others, "again": whole}) == [("1", "again")]
@@ -34,8 +58,8 @@ def test_a_flight_is_itself_in_any_part_and_no_other(step):
 
 def test_logs_at_rest_and_short_ones_are_no_one_flight():
     still = sketch(np.zeros((5000, 3)))
-    assert not is_same_flight(still, still) and sketch(np.zeros((2, 3))) == []
-    assert sketch(np.full((50, 3), np.nan)) == []
+    assert not is_same_flight(still, still) and sketch(np.zeros((2, 3)))["gyro"] == []
+    assert sketch(np.full((50, 3), np.nan))["gyro"] == []
 
 
 def copy(kind, source, target):
