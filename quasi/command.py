@@ -23,8 +23,9 @@ def _parser() -> argparse.ArgumentParser:
     place = argparse.ArgumentParser(add_help=False)
     place.add_argument("-d", "--directory", default=".", help="project folder (default: here)")
 
-    for add in (add_model_commands, add_simulation_commands, add_recording_commands):
-        add(commands, place)
+    add_model_commands(commands, place)
+    add_simulation_commands(commands, place)
+    add_recording_commands(commands)
     parser.set_defaults(commands=list(commands.choices))
     return parser
 

@@ -10,8 +10,8 @@ from quasi.errors import ConfigError
 from quasi.project.templates import lay_folder
 
 
-def add_recording_commands(commands: argparse._SubParsersAction, place: argparse.ArgumentParser) -> None:
-    """Add `check`, `init`, `decode`, `sync` and `noise`. place  parser of --directory"""
+def add_recording_commands(commands: argparse._SubParsersAction) -> None:
+    """Add `check`, `init`, `decode`, `sync` and `noise`."""
     check = commands.add_parser(
         "check",
         help="open every raw file that a project folder names: what is there, what is missing, what it is good for",

@@ -58,11 +58,3 @@ def export_to_simulator(model: Model, name: str, folder: str | Path) -> tuple[li
         write_text(Path(folder) / file, text)
     checks = check_recovered(model, target.recover(files, physical))
     return checks, list(physical.notes), list(files)
-
-
-def target_table() -> str:
-    """The table of targets in Markdown, as docs/exports.md shows it."""
-    lines = ["| target | what it is | needs at the other end |", "| --- | --- | --- |"]
-    entries = [*LANGUAGES, *SIMULATORS.values()]
-    lines += [f"| `models/<model>/{entry.name}` | {entry.title} | {entry.needs} |" for entry in entries]
-    return "\n".join(lines)

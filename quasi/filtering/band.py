@@ -102,7 +102,7 @@ def choose(
     if not wanted:
         _warn(found, imu, flying, cutoff, logged, notes)
         return Band(cutoff, rate, None, metadata)
-    _left_in(found, flying, lowest, cutoff, logged, notes)
+    _left_in(found, flying, lowest, logged, notes)
     metadata["rotor notches"] = {
         "centre": chosen["rotor notch centre"],
         "lowest": {"value": lowest, "unit": "Hz"},
@@ -128,9 +128,7 @@ def _cutoff(wanted: float, logged: float, rate: float, notes: list[str]) -> floa
     return wanted
 
 
-def _left_in(
-    found: harmonics.Lines, flying: np.ndarray, lowest: float, cutoff: float, logged: float, notes: list[str]
-) -> None:
+def _left_in(found: harmonics.Lines, flying: np.ndarray, lowest: float, logged: float, notes: list[str]) -> None:
     """Say which harmonics stand below the lowest frequency of a notch in flight, as folded ones do."""
     low = (found.frequency < lowest) & (found.true > lowest)
     for order in np.unique(found.harmonic):

@@ -359,9 +359,7 @@ def start(frame: pd.DataFrame, measurements: Measurements, imu: Imu, dt: float, 
     if resting:
         deviation[3:6] = 0.05
     elif np.isfinite(velocity).all():
-        state[:3] = velocity if measurements.body else attitude.rotate(quaternion, velocity)
-        if measurements.body:
-            state[:3] = attitude.rotate(quaternion, velocity)
+        state[:3] = attitude.rotate(quaternion, velocity)
         deviation[3:6] = 0.5
     else:
         deviation[3:6] = 3.0

@@ -136,7 +136,7 @@ def diagnose(
     asked_of = {n: e for n, e in effects.items() if n not in silent}
     found, kept = None, []
     lives, restless = pd.DataFrame(), []
-    settled = Settled([], [], {}, {}, None, [])
+    settled = Settled([], [], {}, {}, [])
     if unable:
         asked = [n for n, e in effects.items() if e.level == "forces"]
         lists["cannot_be_asked"] += [{"id": n, "why": unable} for n in asked]
@@ -265,7 +265,7 @@ def diagnose(
     _since_when(result, references)
     add_probabilities(result)
     result["summary"] = summary(result, effects)
-    tables = wrench_tables(evidence, roles, case.left(extended, kept, found and found.study, again, roles), vehicle)
+    tables = wrench_tables(evidence, roles, case.left(extended, kept, found and found.study, again, roles))
     if len(lives):
         tables["forces_unexplained"] = lives
     tables |= {k: t for k, t in rolled.items() if isinstance(t, pd.DataFrame)}

@@ -198,9 +198,8 @@ class Search:
         order = self.given[len(self.known) :]
         return Selection(named, [*self.ties, *simpler], ranking, self.marginal, level, self.rejected, order)
 
-    def _test(self, offer: Candidate, *given: Candidate, without: Candidate | None = None) -> Test:
-        others = [g for g in self.given if g != without]
-        return self.mixed.test(offer, [*others, *given], self.pooled)
+    def _test(self, offer: Candidate, *given: Candidate) -> Test:
+        return self.mixed.test(offer, [*self.given, *given], self.pooled)
 
     def _accept(self, best: Test | None, rivals: list[Rival], tie: Tie | None) -> None:
         if tie is not None:

@@ -129,7 +129,7 @@ def rotor_lag(
         follow(values, speed, start, delay / dt, dt, up, down, out)
         return out[chosen].copy()
 
-    shape = _first_map(command[chosen], ratio[chosen], target, commands_speed)
+    shape = _first_map(command[chosen], target, commands_speed)
     free_shape = len(shape) - (not commands_speed and voltage is None)
     one = _fit(lambda x: run(x[0], x[0], x[1], _padded(x[2:], len(shape))), target, [0.03, 0.0, *shape[:free_shape]], 1)
     if isinstance(one, str):
@@ -180,7 +180,7 @@ def _padded(shape: np.ndarray, length: int) -> np.ndarray:
     return np.concatenate([shape, np.zeros(length - len(shape))])
 
 
-def _first_map(command: np.ndarray, ratio: np.ndarray, target: np.ndarray, commands_speed: bool) -> np.ndarray:
+def _first_map(command: np.ndarray, target: np.ndarray, commands_speed: bool) -> np.ndarray:
     """Map of the steady state, as a start: the regression of speed on command."""
     if commands_speed:
         return np.array([0.0, 1.0])

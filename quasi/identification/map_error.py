@@ -77,5 +77,4 @@ def add_map_error(
             term["std"] = float(next(spread))
             if term.get("t") is not None and term["std"] > 0.0:
                 term["t"] = float(term["coefficient"] / term["std"])
-    result["notes"] = [*result["notes"]]
     return result

@@ -88,7 +88,7 @@ def import_flight(
         if (calibration.get("imu") or {}).get("lever arm") and "imu position" not in quadrotor:
             chosen["do onboard c.g. correction"] = False  # what hover would give is in the calibration
     try:
-        sync = _align(flight, board, capture, captured, chosen, where, notes)
+        sync = _align(board, capture, captured, chosen, where, notes)
     except DataError as error:
         if any(end.sensor == "gyro" for end in ends):
             raise DataError(f"{error}; the gyro was clipped at the end of its range, which may be why") from None
@@ -220,8 +220,8 @@ def _on_board_time(series: Series, quadrotor: Mapping[str, Any], board: Onboard)
 
 
 def _align(
-    flight: Mapping[str, Any], board: Onboard, capture: Series | None, captured: Recording | None,
-    chosen: Mapping[str, Any], where: str, notes: list[str],
+    board: Onboard, capture: Series | None, captured: Recording | None, chosen: Mapping[str, Any], where: str,
+    notes: list[str],
 ) -> Synchronisation | None:  # fmt: skip
     """Tie the capture's clock to the on-board clock. A capture of the same table may stay where it is."""
     if capture is None:

@@ -142,7 +142,7 @@ def _loop(
                         seen[17 + k] -= G * rot[2, k]
                 for i in range(4):
                     seen[13 + i] = log[step, 9 + i]
-                controller_step(kind, p, memory, step * dt, dt, seen, goals[step], command)
+                controller_step(kind, p, memory, dt, seen, goals[step], command)
                 for i in range(4):
                     target[i] = min(max(command[i], lowest), highest)
             momentum = inertia @ rates

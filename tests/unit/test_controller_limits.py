@@ -87,7 +87,7 @@ def test_a_learnt_limit_is_forgotten_when_the_rotor_follows_again(model):
     for step in range(1500):
         goal[3] = -5.0 if step < 300 else 0.0
         capped = 1400.0 if step < 300 else np.inf
-        controller_step(kind, p, memory, 0.004 * step, 0.004, seen, goal, out)
+        controller_step(kind, p, memory, 0.004, seen, goal, out)
         limits.append(memory[LEARNT_LIMITS])
         seen[13:17] += (np.clip(out, 0, np.inf) - seen[13:17]) * (1 - math.exp(-0.004 / 0.03))
         seen[13] = min(seen[13], capped)
@@ -109,7 +109,7 @@ def test_whatever_is_seen_and_wanted_the_commands_are_speeds_that_rotors_can_hav
             seen[13:17], seen[17:20] = rng.uniform(0, 3000, 4), rng.normal(size=3) * 50
             goal[0], goal[1:18] = rng.integers(4), rng.normal(size=17) * 10 ** rng.uniform(-2, 3)
             goal[13] = np.nan if rng.random() < 0.3 else goal[13]
-            controller_step(kind, p, memory, 0.0, 0.004, seen, goal, out)
+            controller_step(kind, p, memory, 0.004, seen, goal, out)
             assert np.all(np.isfinite(out)), "no number"
             assert p[g.LOWEST_SPEED] * (1 - 1e-9) <= out.min() and out.max() <= p[g.HIGHEST_SPEED] * (1 + 1e-9)
 
@@ -119,5 +119,5 @@ def test_what_is_no_number_is_passed_on_and_not_hidden(model):
         kind, p, size = make_controller({"controller": name}, model)
         seen, goal, memory, out = np.zeros(26), np.zeros(20), np.zeros(size), np.zeros(4)
         seen[0], seen[13:17], seen[19], seen[7] = 1.0, 1500.0, -9.81, np.nan
-        controller_step(kind, p, memory, 0.0, 0.004, seen, goal, out)
+        controller_step(kind, p, memory, 0.004, seen, goal, out)
         assert not np.all(np.isfinite(out))

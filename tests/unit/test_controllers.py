@@ -134,7 +134,7 @@ def test_filtered_rates_and_rotor_speeds_are_of_the_same_moment(model):
         speeds = 1500.0 + 150.0 * np.sin(40.0 * step * dt) * left
         acceleration = p[g.EFFECTIVENESS] * left[0] * np.sum(left * speeds**2) / light.airframe.inertia[0, 0]
         seen[7], seen[13:17] = rate, speeds
-        controller_step(kind, p, memory, step * dt, dt, seen, goal, out)
+        controller_step(kind, p, memory, dt, seen, goal, out)
         moment = np.sum(p[g.EFFECTIVENESS : g.EFFECTIVENESS + 4] * memory[SPEED_FILTERS : SPEED_FILTERS + 12 : 3])
         raw = np.sum(p[g.EFFECTIVENESS : g.EFFECTIVENESS + 4] * speeds**2)
         late.append(light.airframe.inertia[0, 0] * memory[RATE_FILTERS + 1] - moment)

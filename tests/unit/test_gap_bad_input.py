@@ -266,9 +266,7 @@ def test_a_reference_flight_is_shown_without_what_only_changed(flight):
         always = ["rotor_speed_scale"] if drive_since == "always" else []
         case = Case(MODEL, CATALOGUE, vehicle, [], [], [], {}, drive, False, settings, always)
         extended = Model(case.extended(causes, None, "test", False), "test")
-        made = wrench_tables(evidence, roles, case.left(extended, causes, None, False, roles), vehicle)[
-            "forces_residuals"
-        ]
+        made = wrench_tables(evidence, roles, case.left(extended, causes, None, False, roles))["forces_residuals"]
         return {key: part.filter(regex="_after$").to_numpy() for key, part in made.groupby("flight")}
 
     def alone(*names):
@@ -314,7 +312,7 @@ def test_a_tie_that_resamples_do_not_bear_out_is_told_among_the_candidates():
         ranking=[],
         level={"always": 1e-3, "changed": 1e-3},
     )
-    (said,) = candidates(found, Settled([], [], {}, {}, None, []), 0.05)
+    (said,) = candidates(found, Settled([], [], {}, {}, []), 0.05)
     assert said["id"] == "wind" and said["why_not"].startswith("found again in 10 % of the resamples only, expected 20")
 
 
@@ -326,7 +324,7 @@ def test_a_change_that_does_not_matter_says_which_flights_have_more_of_it(size, 
     small = Cause(CATALOGUE["ground_effect"], "changed", {"c": size}, {"c": 0.3}, test, [])
     found = SimpleNamespace(causes=[], stand_ins=[], unjudged=[], ties=[], immaterial=[small], contradicted={},
                             ranking=[], level={"always": 1e-3, "changed": 1e-3})  # fmt: skip
-    (entry,) = candidates(found, Settled([], [], {}, {}, None, []), 0.05)
+    (entry,) = candidates(found, Settled([], [], {}, {}, []), 0.05)
     assert words in entry["why_not"]
 
 
@@ -346,7 +344,7 @@ def test_what_a_model_lacks_has_to_be_borne_out_by_held_out_flights_or_roll_outs
     effect = replace(CATALOGUE["inflow_lag"], absent_when_healthy=foreign)
     lack = Cause(effect, "always", {"tau": 0.004}, {"tau": 0.001}, test, [], gain, 1.0)
     told = Confirmation(outcome, 0.9, 2.6, 0.4)
-    left = _borne_out(Settled([lack], [], {("inflow_lag", "always"): told}, {}, None, []), 0.05)
+    left = _borne_out(Settled([lack], [], {("inflow_lag", "always"): told}, {}, []), 0.05)
     assert (left.causes == [lack]) == stands
     if not stands:
         found = SimpleNamespace(causes=[lack], stand_ins=[], unjudged=[], ties=[], immaterial=[], contradicted={},

@@ -12,7 +12,6 @@ from test_gap_extension import base_of, flight
 from test_kinematic import flown as sensed
 
 from quasi.attitude import AIR_DENSITY, GRAVITY
-from quasi.gap.effect import vehicle_of
 from quasi.gap.flights.level import Flown
 from quasi.gap.flights.residual_tables import FAR_LAG, LEAST_BIN_ROWS, places_at, where, whiteness
 from quasi.gap.levels.drive import identify as drive_level
@@ -124,7 +123,7 @@ def test_every_level_tells_the_whiteness_of_its_own_rows():
     slow = autoregressive(100.0, 0.5, len(truth))
     wrench = wrench_tables(
         {"a": replace(evidence, measured=truth + 0.01 * slow[:, None])}, {"a": "compared"},
-        lambda one: 0.5 * one.residual, vehicle_of(base),
+        lambda one: 0.5 * one.residual,
     )  # fmt: skip
     levels = [sensor_level.examine([sensed(1, gyro_bias=(0.02, 0.0, 0.0)), sensed(2)], {}).tables,
               drive_level.examine([driven(1, up=0.04), driven(2, up=0.04)], MODEL, {}).tables,

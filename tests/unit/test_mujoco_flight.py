@@ -43,7 +43,7 @@ def fly(text, setup, thrust):
         seen[13:17] = np.sqrt(data.act[places] / thrust)
         seen[17:20] = flip(data.sensor("accelerometer").data)
         evaluate_reference(loop.reference, loop.path, loop.table, k * STEP, goal)
-        controller_step(loop.controller, loop.gains, memory, k * STEP, STEP, seen, goal, command)
+        controller_step(loop.controller, loop.gains, memory, STEP, seen, goal, command)
         data.ctrl[rotors] = thrust * command**2
         path.append(seen[10:13].copy())
         for _ in range(4):

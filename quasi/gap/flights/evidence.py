@@ -146,17 +146,6 @@ class Evidence:
         return np.asarray(self.airframe.spin, float)
 
     @cached_property
-    def hub_velocity(self) -> np.ndarray:
-        """Velocity of each hub through the air, body axes, m/s (n, 4, 3)."""
-        return self.velocity[:, None] + np.cross(self.rates[:, None], self.hubs[None])
-
-    @cached_property
-    def hub_height(self) -> np.ndarray:
-        """Height of each hub above the floor (earth z = 0), m (n, 4)."""
-        turned = attitude.rotate(self.quaternion[:, None], np.broadcast_to(self.hubs, (len(self), 4, 3)))
-        return -(self.position[:, 2:3] + turned[..., 2])
-
-    @cached_property
     def thrust(self) -> np.ndarray:
         """Thrust of each rotor by the simple model k W^2, N (n, 4)."""
         return self.model.document["simple model"]["kappaFz"]["value"] * self.speeds**2

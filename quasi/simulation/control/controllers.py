@@ -6,7 +6,7 @@ limit is learnt, so that the allocation can reduce yaw.
 
     kind, parameters, size = make_controller({"controller": "INDI"}, model)
     memory = np.zeros(size)
-    controller_step(kind, parameters, memory, t, dt, measurement, setpoint, commands)
+    controller_step(kind, parameters, memory, dt, measurement, setpoint, commands)
 
 measurement (26,): attitude w x y z, u v w, p q r, x y z, rotor speeds (rad/s), specific force ax ay az (m/s2),
 reserved; setpoint (20,): see outer_loop.py; commands (4,): filled with rotor speeds, rad/s. dt must be constant.
@@ -56,7 +56,7 @@ def make_controller(
 
 
 @njit(cache=True, error_model="numpy")
-def controller_step(kind, parameters, memory, t, dt, measurement, setpoint, commands):
+def controller_step(kind, parameters, memory, dt, measurement, setpoint, commands):
     """Run one step of the controller `kind`: fill commands (4,), rad/s, and update the memory."""
     if memory[CONTROLLER_STATUS] == 0.0:
         initialise_memory(parameters, memory, dt, measurement)

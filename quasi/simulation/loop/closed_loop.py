@@ -303,7 +303,7 @@ def run_loop(parameters, state, scratch, first, steps, every, log, close):
         measure(body, sensors, x, last_loads, speeds, random, random_numbers, measurement)
         if reference != EXTERNAL_REFERENCE:
             evaluate_reference(reference, path, table, t, setpoint)
-        controller_step(kind, gains, memory, t, dt, measurement, setpoint, commands)
+        controller_step(kind, gains, memory, dt, measurement, setpoint, commands)
         for i in range(4):
             if not math.isfinite(commands[i]):
                 return STATUS_NO_COMMAND, k - first, row

@@ -139,9 +139,7 @@ class QuadrotorSimulator(Simulator):
         m, state, k = self.setup.loop_parameters, bus.loop_state, bus.step
         state.measurement[:20] = bus.measured_state[k]
         state.setpoint[:] = bus.reference[k]
-        controller_step(
-            m.controller, m.gains, state.memory, k * m.dt, m.dt, state.measurement, state.setpoint, state.commands
-        )
+        controller_step(m.controller, m.gains, state.memory, m.dt, state.measurement, state.setpoint, state.commands)
         if not np.all(np.isfinite(state.commands)):
             raise _NoCommandError
         return state.commands.copy()

@@ -240,7 +240,7 @@ def _linear_controller(
     setpoint[SETPOINT_POSITION : SETPOINT_POSITION + 3] = measurement[10:13]
     commands = np.zeros(4)
     for _ in range(3):
-        controller_step(kind, parameters, memory, 0.0, dt, measurement, setpoint, commands)
+        controller_step(kind, parameters, memory, dt, measurement, setpoint, commands)
     carried = LAWS[kind].memory
     entries = np.concatenate([np.arange(first, first + n) for first, n, _ in carried])
     steps = np.concatenate([np.full(n, 1e-6 * (measurement[13] ** 2 if squared else 1.0)) for _, n, squared in carried])
@@ -250,7 +250,7 @@ def _linear_controller(
         if entry is not None:
             trial[entry] += by
         out = np.zeros(4)
-        controller_step(kind, parameters, trial, 0.0, dt, measurement, setpoint, out)
+        controller_step(kind, parameters, trial, dt, measurement, setpoint, out)
         return np.concatenate([trial[entries], out])
 
     by_memory = np.column_stack(

@@ -1,7 +1,7 @@
 """Entries of the simulator's arrays: the state x, the inputs of one step, the constants of the body."""
 
 STATE_SIZE = 17
-ATTITUDE, VELOCITY, BODY_RATES, POSITION, ROTOR_SPEEDS = 0, 4, 7, 10, 13  # first entries in the state
+ATTITUDE, POSITION, ROTOR_SPEEDS = 0, 10, 13  # first entries in the state
 
 # first entries in the step inputs, which are constant over one step
 TARGET_SPEED = 0  # (4,) target speeds of the rotors, rad/s

@@ -80,7 +80,7 @@ def examine(flights: Sequence[Flown], document: Mapping[str, Any], options: Mapp
         why = "no compared flight measures its rotor speeds; those made of the commands follow their map"
         level.cannot_be_asked = [{"id": c, "why": why} for c in [*asked, "weak_motor"]]
         return level
-    belief, is_known = _belief(flights, document, kind, level)
+    belief, is_known = _belief(flights, document, kind)
     used, fits = _fits(flights, kind, belief, level)
     if not any(f.compared for f in used):
         why = "no compared flight has enough flying with commands and measured rotor speeds"
@@ -150,9 +150,7 @@ def examine(flights: Sequence[Flown], document: Mapping[str, Any], options: Mapp
     return level
 
 
-def _belief(
-    flights: Sequence[Flown], document: Mapping[str, Any], kind: str, level: Level
-) -> tuple[Belief | None, bool]:
+def _belief(flights: Sequence[Flown], document: Mapping[str, Any], kind: str) -> tuple[Belief | None, bool]:
     """Where the fits start, and whether the model knows it."""
     held = belief_of(document, kind)
     is_known = held is not None and "time constants up" in (document.get("actuators") or {})

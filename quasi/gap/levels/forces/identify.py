@@ -35,7 +35,7 @@ RESAMPLED_SEARCHES = 40  # resamples of the flights' blocks
 
 @dataclass
 class Found:
-    """Result of the level. level {since: p that had to be passed}; scores {"before", "after", ...}: mean squares per
+    """Result of the level. level {since: p that had to be passed}; scores {"before", "noise_floor"}: mean squares per
     axis on held-out flights.
 
     unjudged  those of the causes that the held-out flights do not excite; contradicted {cause: test, why}: those whose
@@ -119,7 +119,7 @@ def examine(
     old, new = (wrench_squares(held, left).mean() for left in (before, after(Model(extended, name), model)))
     deaf = [k in {k for flight in flights for k in flight.excluded} for k in range(len(AXES))]
     floor = np.where(deaf, old, np.minimum(judge.floor, new))  # on axes that do not count nothing can be removed
-    scores = {"before": old, "after": new, "noise_floor": floor}
+    scores = {"before": old, "noise_floor": floor}
     return Found(
         kept, ties, immaterial, sought.ranking, sought.level, study.lacking | unbearable, study, scores,
         extended, unjudged, contradicted | vague,

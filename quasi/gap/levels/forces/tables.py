@@ -5,7 +5,6 @@ from collections.abc import Callable, Mapping
 import numpy as np
 import pandas as pd
 
-from quasi.gap.effect import Vehicle
 from quasi.gap.flights.covariates import places
 from quasi.gap.flights.evidence import Evidence
 from quasi.gap.flights.residual_tables import SEGMENT, where, whiteness
@@ -17,7 +16,7 @@ WRENCH_UNITS = {axis: "N" if axis[0] == "F" else "N m" for axis in AXES}
 
 
 def wrench_tables(
-    evidence: Mapping[str, Evidence], roles: Mapping[str, str], left: Callable[[Evidence], np.ndarray], vehicle: Vehicle
+    evidence: Mapping[str, Evidence], roles: Mapping[str, str], left: Callable[[Evidence], np.ndarray]
 ) -> dict[str, pd.DataFrame]:
     """forces_residuals, forces_channels, forces_where, forces_spectra; none without any flight.
 

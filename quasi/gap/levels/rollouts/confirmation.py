@@ -26,7 +26,7 @@ from quasi.gap.levels.forces.identify import Found
 from quasi.gap.levels.forces.nuisance import nuisances
 from quasi.gap.levels.rollouts import output_error
 from quasi.gap.levels.rollouts.linear_response import Course
-from quasi.gap.levels.rollouts.output_error import Fitted, Values
+from quasi.gap.levels.rollouts.output_error import Values
 from quasi.gap.materiality import Cause, seen_in
 from quasi.gap.statistics.candidates import Candidate, Columns
 from quasi.gap.statistics.mixed import MixedModel
@@ -132,7 +132,6 @@ class Settled(NamedTuple):
     dropped: list[tuple[Cause, Confirmation]]
     confirmations: dict[tuple[str, str], Confirmation]
     estimates: dict[tuple[str, str], Estimate]
-    fitted: Fitted | None
     notes: list[str]
     losses: Sequence[Any] = ()
 
@@ -157,7 +156,7 @@ def settle(
     """
     kept, dropped = list(causes), []
     if not kept:
-        return Settled([], [], {}, {}, None, [])
+        return Settled([], [], {}, {}, [])
     ranges = {n: e.limits(vehicle).ranges for n, e in effects.items()}
     try:
         windows = output_error.windows_of(found.study, tables)
@@ -181,14 +180,14 @@ def settle(
             if not refuted:
                 estimates = {_key(c): Estimate(*e) for c, *e in zip(kept, fitted.values, fitted.std, fitted.used)}
                 confirmations = {_key(c): s for c, s in zip(kept, results)}
-                return Settled(kept, dropped, confirmations, estimates, fitted, fitted.notes)
+                return Settled(kept, dropped, confirmations, estimates, fitted.notes)
             worst = min(refuted, key=lambda k: (results[k].amplitude - 0.5) / results[k].std)
             dropped.append((kept.pop(worst), results[worst]))
     except (ConfigError, DataError) as error:
         nothing = Confirmation(UNJUDGED, 0.0, np.inf, 0.0, str(error))
         note = f"the named causes could not be confirmed by roll-outs: {error}"
-        return Settled(kept, dropped, {_key(c): nothing for c in kept}, {}, None, [note])
-    return Settled([], dropped, {}, {}, None, [])
+        return Settled(kept, dropped, {_key(c): nothing for c in kept}, {}, [note])
+    return Settled([], dropped, {}, {}, [])
 
 
 def _honest(result: Confirmation, cause: Cause, flights: float) -> Confirmation:

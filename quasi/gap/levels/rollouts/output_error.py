@@ -142,7 +142,7 @@ class Fitted:
     """Parameters by output error, cause by cause: deviations from neutral, standard errors, and what speaks against.
 
     used  whether an estimate settled, lies in the physical range and agrees with that of the forces and moments
-    noise (D, D) covariance within a window, for `confirm`; steps  of Gauss-Newton; settled  whether all did
+    noise (D, D) covariance within a window, for `confirm`; settled  whether all did
     """
 
     values: list[Values]
@@ -151,7 +151,6 @@ class Fitted:
     notes: list[str]
     settled: bool
     noise: np.ndarray
-    steps: int = 0
 
 
 Maker = Callable[[Sequence[Values], bool], Model]
@@ -176,7 +175,7 @@ def fit(
     courses, slopes = [list(part) for part in zip(*windows)]
     own = [k - 1 for k in study.columns.nuisance]
     values = [dict(c.value) for c in causes]
-    tests, steps, moved = [], 0, np.zeros(len(causes))
+    tests, moved = [], np.zeros(len(causes))
 
     def errors(of: Sequence[Values]) -> list[np.ndarray]:
         models = {flag: make(of, flag) for flag in set(flags.tolist())}
@@ -184,8 +183,7 @@ def fit(
 
     found = errors(values)
     noise = covariance_of(found, [s[:, :, own] for s in slopes], study.columns.spread)
-    while causes and steps < MOST_STEPS:
-        steps += 1
+    for _ in range(MOST_STEPS if causes else 0):
         mixed = _mixed(found, slopes, noise, courses, flags, study.columns)
         tests = []
         for cause in causes:
@@ -205,7 +203,7 @@ def fit(
         used.append(not why)
         if why:
             notes.append(f"{cause.effect.id}: {why}; roll-outs used its value from forces and moments")
-    return Fitted(values, std, used, notes, bool(np.all(moved < CONVERGED_STEP)), noise, steps)
+    return Fitted(values, std, used, notes, bool(np.all(moved < CONVERGED_STEP)), noise)
 
 
 def _names(cause: Cause) -> list[str]:
