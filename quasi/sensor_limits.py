@@ -33,9 +33,7 @@ MAX_NIS = 25.0
 RATE_GAIN = (2 / 3, 3 / 2)
 # Accelerations of a captured position over those measured; sound flights showed 0.92 to 1.01
 LENGTH_RATIO = (3 / 4, 4 / 3)
-MIN_CORRELATION = (
-    0.6  # horizontal accelerations after a turn or mirror, from which they are the same motion's (contradictions.ALIKE)
-)
+MIN_CORRELATION = 0.6  # of horizontal accelerations after a turn or mirror, from which they are the same motion's
 INERTIA_ROUNDING = 1e-3  # share by which rounded moments may break the triangle inequality
 # the same of measured ones: each moment by a bifilar pendulum errs by some percent, and three of them enter (Jardin &
 # Mueller, Journal of Aircraft 46(3), 2009)

@@ -341,7 +341,7 @@ def encode_log(
 ) -> tuple[bytes, int]:
     """A whole log file, and how many rows of it were written.
 
-    values  (N, len(NAMES)) whole numbers in order of NAMES; loopIteration counts loops, rows lie `step` loops apart and
+    values  (N, fields) whole numbers by FIELD_NAMES; loopIteration counts loops, rows lie `step` loops apart and
     an I frame comes whenever it is a multiple of `whole_every`;
     others  (row, bytes) frames of other kinds, in order, each put before that row;
     settings  further or other headers; reference  hundredths of a volt, the header's vbatref.

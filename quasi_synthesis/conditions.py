@@ -188,7 +188,7 @@ BURST = 3.0  # packets lost in a row, mean; radio and timing faults come in burs
 
 
 def packet_faults(packets: int, losses: Mapping[str, float], rng: np.random.Generator) -> np.ndarray:
-    """What happens to each packet of each rotor's telemetry, (packets, 4) of 0, LOST or REPEATED.
+    """What happens to each packet of each rotor's telemetry, (packets, 4) of 0, LOST or REPEATED_PACKET.
 
     Losses come in bursts of geometric length (mean BURST) at the stated share; repetitions come alone.
     """

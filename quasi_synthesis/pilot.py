@@ -1,6 +1,6 @@
 """What the pilot of a made flight wants: a table of references and stick doublets from a seed.
 
-Rows at RATE Hz, columns: 0:3 position, 3:6 velocity, 6:9 acceleration (earth NED); 9 yaw; 10 yaw rate;
+Rows at REFERENCE_RATE Hz, columns: 0:3 position, 3:6 velocity, 6:9 acceleration (earth NED); 9 yaw; 10 yaw rate;
 11:14 rates added to the attitude loop's (rad/s, doublets); 14 share of hover thrust added; 15 mode.
 """
 

@@ -64,7 +64,7 @@ class Telemetry(NamedTuple):
     interval: int  # loop steps between reports
     scale: float  # logged / true
     to_log: float  # eRPM/100 per rad/s
-    faults: np.ndarray  # (reports, 4) 0, LOST (the log keeps the last) or REPEATED (the report before comes again)
+    faults: np.ndarray  # (reports, 4) 0, LOST (the log keeps the last) or REPEATED_PACKET
 
 
 @njit(cache=True, error_model="numpy")

@@ -92,7 +92,7 @@ class Physics(NamedTuple):
     thrust_drift: float = 0.0  # 1/s
     thrust_per_speed: float = 0.0  # N s/rad added per rotor
     thrust_constant: float = 0.0  # N added per turning rotor
-    thrust_exponent: float = 2.0  # of thrust over rotor speed; any but 2 is applied about HOVER_SPEED
+    thrust_exponent: float = 2.0  # of thrust over rotor speed; any but 2 is applied about BASE_HOVER_SPEED
     axial_gain: float = 0.0  # N s2/(m rad), extra thrust change -k W V_climb per rotor
     translational_gain: float = 0.0  # N s2/m2, extra thrust k (u2 + v2) of all rotors, by the flow at each hub
     ground_gain: float = 0.0  # c of T/T0 = 1/(1 - c (R/4z)^2)

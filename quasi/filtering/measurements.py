@@ -15,7 +15,7 @@ from quasi.sensor_limits import find_clipping, runs_of
 GYRO, ACCEL = ("p", "q", "r"), ("ax", "ay", "az")
 
 # Standard deviations per measurement when nothing better is known: rad, m, m/s. Motion capture: the scatter of a rigid
-# body of 5 cm marker spacing. On-board estimates err slowly, so they are taken rarely (INTERVAL, s) and trusted little.
+# body of 5 cm marker spacing. On-board estimates err slowly: taken rarely (ONBOARD_INTERVAL, s) and trusted little.
 CAPTURE_STD = {"attitude": np.radians(0.2), "position": 0.001, "velocity": 0.02}
 ONBOARD_STD = {"attitude": np.radians(1.5), "position": 0.02, "velocity": 0.05}
 ONBOARD_INTERVAL = {"attitude": 0.1, "position": 0.05, "velocity": 0.05}

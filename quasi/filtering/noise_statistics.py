@@ -26,7 +26,7 @@ UNEVEN = 3.0  # ratio of noise levels within a log that is worth a word
 @dataclass(frozen=True)
 class RestLog:
     """One rest log: t (n,) s; columns {quantity: (n,)}, SI, body FRD, NaN where missing, of RATES, FORCE and, if there
-    is one, ANGLES; speeds (n, rotors) rad/s or None; step {quantity: step of the log's numbers, 0 if unknown}."""
+    is one, EULER_ANGLES; speeds (n, rotors) rad/s or None; step {quantity: step of the log's numbers, 0 if unknown}."""
 
     name: str
     t: np.ndarray
@@ -125,7 +125,7 @@ def _still_part(log: RestLog, cut: float, notes: list[str]) -> slice:
 
 
 def _blocks(t: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Means of blocks of BLOCK s, and the times at which these begin."""
+    """Means of blocks of REST_BLOCK s, and the times at which these begin."""
     size = max(2, round(REST_BLOCK / float(np.median(np.diff(t)))))
     count = len(values) // size
     return t[: count * size : size], values[: count * size].reshape(count, size).mean(axis=1)

@@ -174,7 +174,8 @@ def interchangeable(totals: Totals, columns: list[int], bandwidth: int = 1) -> d
 
     Returns {column: [{"column", "share of gain", "worse by"}, ...]} for the columns that are not fixed, best first.
     "share of gain" compares how much the two lower the squared error; "worse by" is the difference of the squared
-    errors in its own standard errors, from its scatter over cells: below ALIKE the data cannot distinguish the two.
+    errors in its own standard errors, from its scatter over cells: below LEAST_DISTINGUISHABLE_T
+    the data cannot distinguish the two.
     """
     products, found = totals.products, {}
     for taken in columns[totals.fixed :]:

@@ -39,7 +39,7 @@ JOINT_AXES = ("Fz", "Mx", "My", "Mz")
 
 @dataclass
 class PreparedFlight:
-    """One flight, averaged to about STEP.
+    """One flight, averaged to about COMPARED_STEP.
 
     fine: rows of the log's grid in a compared row; dt, h  s of the grid and of compared rows; commands (N, 4) in units
     of the operating command; ratio (N, 1) of voltages or None; targets {axis: (M,)}; columns {name: (M,)} of rates and

@@ -75,7 +75,7 @@ def drop_redundant(
 
 
 def _at_random_states(terms: Sequence[Term], scheme: Normalisation, airframe: Airframe) -> np.ndarray:
-    """Values (terms, STATES) of regressors at random states above the scheme's limits."""
+    """Values (terms, rows) of regressors at random states above the scheme's limits."""
     random = np.random.default_rng(0)
     rows = COMPARED_STATES + len(terms[:COMPARED_STATES])
     wanted = {name for term in terms for name in names(term.tree)}

@@ -367,7 +367,7 @@ class _Search:
             self.state, self.log = sure, self.log[:logged]
 
     def rounds(self) -> None:
-        """Exchange, add and drop until nothing changes, ROUNDS times at most."""
+        """Exchange, add and drop until nothing changes, FINAL_ROUNDS times at most."""
         for _ in range(FINAL_ROUNDS):
             changed = False
             for _ in range(2 * len(self.state.columns)):

@@ -167,7 +167,7 @@ def _project(samples: _Samples, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def _standard_errors(
     samples: _Samples, x: np.ndarray, coefficients: np.ndarray, residual: np.ndarray
 ) -> np.ndarray | None:
-    """Standard errors (len(x) + 12,), robust to autocorrelation over MEMORY; None where constants are not separable."""
+    """Standard errors (len(x) + 12,), robust to autocorrelation over RESIDUAL_MEMORY; None where not separable."""
     columns, free = _regressors(samples, x), len(x)
     jacobian = np.zeros((*residual.shape, free + 12))
     for k, step in enumerate((1e-4, 1e-4, 1e-3)[:free]):

@@ -98,8 +98,8 @@ def _rates_of(t: np.ndarray, attitude: np.ndarray) -> tuple[np.ndarray, np.ndarr
 def exchanged_axes(t: np.ndarray, rates: np.ndarray, t_attitude: np.ndarray, attitude: np.ndarray) -> dict[str, str]:
     """{axis of the gyro: axis of the attitude that turns as it does} of "p", "q", "r", where that is another one.
 
-    Arguments as `rates_explained`. By correlation over the whole flight: above ALIKE with the other axis, and with its
-    own less than half of that.
+    Arguments as `rates_explained`. By correlation over the whole flight: above LEAST_CORRELATION with the other axis,
+    and with its own less than half of that.
     """
     turned = _rates_of(t_attitude, attitude)
     if turned is None:
@@ -125,8 +125,9 @@ def rate_gains(
     """{"p", "q", "r": bounds of the gyro's rate over that of an attitude}, of the axes that turn; 1 where both agree.
 
     Arguments as `rates_explained`. Both are noisy, so the gain lies between the slopes of the two regressions, of one
-    on the other and the reverse. Axes whose rates correlate by less than ALIKE are left out. Medians over stretches,
-    for an estimate may be reset once. Source: Frisch, Statistical Confluence Analysis, 1934 (errors in both variables).
+    on the other and the reverse. Axes whose rates correlate by less than LEAST_CORRELATION are left out. Medians over
+    stretches, for an estimate may be reset once. Source: Frisch, Statistical Confluence Analysis, 1934 (errors in both
+    variables).
     """
     turned = _rates_of(t_attitude, attitude)
     if turned is None:

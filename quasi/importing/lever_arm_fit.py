@@ -32,7 +32,7 @@ class ArmFit(NamedTuple):
 
 
 def fit_arm(onboard: Motion, capture: Motion, clocks: Synchronisation) -> ArmFit | None:
-    """The arm from a synchronised flight; None without a captured attitude or with less than LEAST_BLOCKS blocks."""
+    """The arm from a synchronised flight; None without a captured attitude or LEAST_ARM_BLOCKS blocks."""
     if capture.quaternion is None or capture.position is None:
         return None
     spacing = float(np.median(np.diff(capture.t)))

@@ -57,7 +57,7 @@ def facts(ends: list[End], at: np.ndarray, where: str, notes: list[str]) -> dict
     """What is clipped within the grid's times at (m,), by channel and end ("p +"); notes gets a sentence for each.
 
     Each has its level, full scale (None where it is not a usual one), samples, seconds, span count and spans (s since
-    the grid's beginning, the first MOST_LISTED).
+    the grid's beginning, the first MOST_CLIPPED_LISTED).
     """
     result: dict[str, Any] = {}
     for end in ends:

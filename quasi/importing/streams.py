@@ -14,7 +14,7 @@ def stream(t: np.ndarray, zero: float = 0.0) -> dict[str, Any] | None:
     """Sampling of one source whose valid samples lie at times t (n,), s; None for fewer than three.
 
     Returns samples, rate (Hz, of the median interval), jitter (s, standard deviation of the intervals outside gaps)
-            and gaps [[begin, end], ...] in s since `zero`, the longest MOST_LISTED of them in order; "lost" s in all
+            and gaps [[begin, end], ...] in s since `zero`, the longest MOST_GAPS_LISTED in order; "lost" s in all
     """
     if len(t) < 3:
         return None

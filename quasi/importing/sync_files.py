@@ -227,7 +227,7 @@ def alignment_picture(found: Alignment) -> Figure:
 
 
 def _window(onboard: Motion, seen: np.ndarray) -> tuple[float, float]:
-    """Begin and end, s, of the WINDOW in the common span that turns most."""
+    """Begin and end, s, of the DRAWN_WINDOW in the common span that turns most."""
     low, high = max(onboard.t[0], seen[0]), min(onboard.t[-1], seen[-1])
     starts = np.arange(low, max(high - DRAWN_WINDOW, low) + 1e-9, 1.0)
     power = np.concatenate([[0.0], np.cumsum(np.nan_to_num(np.sum(onboard.rates**2, axis=1)))])

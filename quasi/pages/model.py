@@ -30,7 +30,7 @@ def render_model_page(
 ) -> str:
     """Render the page as HTML.
 
-    model      the model's document; summary, diagnosis  as plain data; coverage  of `diagnostics.covered_share`
+    model      the model's document; summary, diagnosis  as plain data; coverage  of `diagnostics.compute_coverage`
     rows       of `thin`
     """
     flights = model["flights"]

@@ -98,7 +98,7 @@ _BAR_HEAD = "".join(
 
 
 def _draw_bar(line: Any, number: int) -> str:
-    """Draw the ranges of one variable; line  a row of `covered_share`."""
+    """Draw the ranges of one variable; line  a row of `compute_coverage`."""
     top = number * BAR_HEIGHT + 22
 
     def x(value: float) -> float:

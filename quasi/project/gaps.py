@@ -112,7 +112,7 @@ class Gaps:
         return {COMPARED: learning, HELD: held, REFERENCE: reference}
 
     def _select_unused_training(self, name: str, compared: Sequence[Row], quadrotors: set[str]) -> list[Row]:
-        """Select training flights that are not compared: as many as those, at least FEWEST, evenly spaced.
+        """Select training flights that are not compared: as many as those, at least FEWEST_REFERENCES, evenly spaced.
 
         An effect that they show too is one that the model always lacked.
         """

@@ -47,9 +47,9 @@ def diagnose(
 ) -> dict[str, Any]:
     """Check every axis and derive a verdict, as plain data ("quasi.diagnostics/2").
 
-    judged, scores  of the same rows (`judge`, `score_judged`); coverage, beyond  of `compute_coverage`
-    roles           {name: code}; partitioning  the model's "data partitioning"
-    base            ID and scores, on the same rows, of the model that a gap extended; None for any other
+    comparisons, scores  of the same rows, see `quasi.scoring.score`; coverage, beyond  of `compute_coverage`
+    roles  {name: code}; partitioning  the model's "data partitioning"
+    base   ID and scores, on the same rows, of the model that a gap extended; None for any other
     """
     axes = {}
     for axis in model.axes:

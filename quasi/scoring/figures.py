@@ -37,7 +37,7 @@ def _mark_flight_end(panels: Sequence[Axes], start: float, end: float, key: str,
 def draw_comparison(found: AxisComparison, axis: str, unit: str, validation: Iterable[str] = ()) -> Figure:
     """Draw measured and predicted force or moment of one axis over time, flight after flight, with intervals.
 
-    found  of `judge`; validation  flights that are shaded. Vertical lines delimit the flights.
+    found  of `compare_with_measurements`; validation  flights that are shaded. Vertical lines delimit the flights.
     """
     validation = set(validation)
     figure = Figure(figsize=(11, 5), layout="constrained")
@@ -79,7 +79,7 @@ def draw_closeup(
 ) -> Figure:
     """Draw measured and predicted forces and moments of one flight, each axis where it varies most.
 
-    judged  {axis: rows of `judge`}; units {axis: unit}; seconds  shown time span
+    comparisons  of `compare_with_measurements`; units {axis: unit}; seconds  shown time span
     """
     figure = Figure(figsize=(11, 6.5), layout="constrained")
     panels = figure.subplots(2, 3)
@@ -115,7 +115,7 @@ def draw_closeup(
 def draw_quartiles(found: AxisComparison, axis: str, facts: Mapping[str, Any]) -> Figure:
     """Draw RMSE per quartile of the measured range and the distribution of the rows of each role.
 
-    found  of `judge`; facts  the axis's diagnostics ("quartiles", "histogram", "unit")
+    found  of `compare_with_measurements`; facts  the axis's diagnostics ("quartiles", "histogram", "unit")
     """
     figure = Figure(figsize=(11, 4.5), layout="constrained")
     left, right = figure.subplots(1, 2, sharey=True, width_ratios=(2.2, 1))

@@ -13,7 +13,7 @@ from quasi.scoring.score import AxisComparison, compare_with_measurements, score
 
 
 class Review(NamedTuple):
-    """judged {axis: Judged}; scores, coverage as tables; diagnosis as plain data."""
+    """comparisons {axis: AxisComparison}; scores, coverage as tables; diagnosis as plain data."""
 
     comparisons: dict[str, AxisComparison]
     scores: pd.DataFrame
@@ -34,7 +34,7 @@ def review_model(
     """Judge a model on its training, test and validation rows.
 
     flights  filtered flights; partition {flight: (n,) role codes}; roles {name: code}
-    aside    {axis: {flight: (n,) bool}} training rows that isolation excludes; partitioning  how rows were drawn
+    excluded {axis: {flight: (n,) bool}} training rows that isolation excludes; partitioning  how rows were drawn
     base     the model that a gap extended to this one: judged on the same rows, and compared with
     masses   {flight: mass of its processing, kg}, of flights that record it
     Extended models are compared with flights corrected by their extensions, see `correct_flight`.

@@ -52,10 +52,10 @@ def compare_with_measurements(
     partition: Mapping[str, np.ndarray],
     excluded: Mapping[str, Mapping[str, np.ndarray]] | None = None,
 ) -> dict[str, AxisComparison]:
-    """Collect measurements, predictions and intervals of every axis, {axis: Judged}.
+    """Collect measurements, predictions and intervals of every axis, {axis: AxisComparison}.
 
     flights  filtered flights with the measured Fx .. Mz; partition {flight: (n,) role codes}, 0 for unused rows
-    aside    {axis: {flight: (n,) bool}} rows that isolation excludes
+    excluded {axis: {flight: (n,) bool}} rows that isolation excludes
     Raises DataError when a measured axis is missing.
     """
     pieces: dict[str, list[tuple[np.ndarray, ...]]] = {axis: [] for axis in model.axes}

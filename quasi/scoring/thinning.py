@@ -15,7 +15,7 @@ MAX_PAGE_RATE = 125.0  # Hz
 def thin_rows(comparisons: Mapping[str, AxisComparison], validation: Sequence[str]) -> pd.DataFrame:
     """Thin the rows of all axes for the page.
 
-    judged  {axis: rows of `judge`}; validation  held-out flights, which get half of the rows
+    comparisons  of `compare_with_measurements`; validation  held-out flights, which get half of the rows
     Returns columns flight, t (s), start (1 after a gap), held (1 on held-out flights), and per axis its measurement
     under its name, <axis>_model, and <axis>_half, half the width of its interval.
     """

@@ -48,7 +48,7 @@ class Event(NamedTuple):
 
 
 def vehicle_of(name: str, table: pd.DataFrame, color: tuple[float, float, float] = MEASURED) -> Vehicle:
-    """A vehicle of a table with t, roll .. yaw, x .. z (earth north, east, down) and what else GROUPS holds."""
+    """A vehicle of a table with t, roll .. yaw, x .. z (earth north, east, down) and what else SIGNAL_GROUPS holds."""
     thin = slice(None, None, step_of(table["t"].to_numpy(float)))
     part = table.iloc[thin].reset_index(drop=True)
     t = part["t"].to_numpy(float)

@@ -95,8 +95,8 @@ class SensorMixedModel(MixedModel):
     common    {cause: standard deviation of what healthy set-ups have in all flights alike}, added to the covariance of
               what all flights have in common
     dispersed {cause: factor of its variances where noise is not white}
-    sessions  name of each flight's session, see `Mixed`. Healthy sessions differ as healthy flights do: sensors are
-              turned on, seated and calibrated anew
+    sessions  name of each flight's session, see `MixedModel`. Healthy sessions differ as healthy flights do: sensors
+              are turned on, seated and calibrated anew
     """
 
     informed = False

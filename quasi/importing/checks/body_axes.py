@@ -83,7 +83,7 @@ def _fits(vote: bool | str, assumed: str, other: str) -> str:
 def _votes(series: Series, where: str) -> dict[str, bool | str | None]:
     """By each test: False for the axes as they are, True for the other kind, "neither", or None where it shows nothing.
 
-    series  t (n,) s with quantities of RATES, FORCE and ATTITUDE, as far as logged
+    series  t (n,) s with quantities of RATES, FORCE and QUATERNION, as far as logged
     """
     votes: dict[str, bool | str | None] = {}
     rates, force, attitude = (series.matrix(names) for names in (RATES, FORCE, QUATERNION))

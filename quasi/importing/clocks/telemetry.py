@@ -184,7 +184,7 @@ def acceleration_lag(
 
 
 def best_fit(pairs: Sequence[Pair]) -> ClockFit | None:
-    """The best constant lag within LONGEST, searched from several beginnings, for the mix may fit at the wrong one."""
+    """The best constant lag within LONGEST_TELEMETRY_AGE, from several starts: the mix may fit at a wrong one."""
     reference = pairs[0].other.start + 0.5 * pairs[0].other.step * len(pairs[0].other.values)
     fits = [fit(pairs, start, 0.0, reference, fit_rate=False) for start in (-0.06, -0.02, 0.02, 0.06)]
     fits = [f for f in fits if f is not None and abs(f.lag) < LONGEST_TELEMETRY_AGE]

@@ -33,7 +33,7 @@ NEEDED_ROLES = ("body rates", "specific force")
 class Known:
     """One way in which a format logs the quantities of a role.
 
-    role     of ROLES; match  pattern of the whole topic name, or of the message type where `by_kind`
+    role     of ROLE_COLUMNS; match  pattern of the whole topic name, or of the message type where `by_kind`
     columns  {quantity: (field, unit)}; a field is the column without "topic.". Those that the topic lacks are left out
              as whole vectors
     body     whether velocity or specific force are in body axes, None for the usual ones

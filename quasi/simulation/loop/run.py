@@ -99,7 +99,7 @@ class Session:
     def advance(self, setpoint: np.ndarray | None, steps: int) -> str | None:
         """Run this many steps; return a sentence when the simulation ends early.
 
-        goal  (20,) the setpoint of a flight by hand; None to follow the setup's reference
+        setpoint  (20,) the setpoint of a flight by hand; None to follow the setup's reference
         """
         if self._by_hand:
             self._loop_state.setpoint[:] = setpoint

@@ -89,7 +89,7 @@ def _rotate_velocity_reference(columns: Mapping[str, np.ndarray]) -> dict[str, n
 
 
 def _convert_to_degrees(name: str, values: np.ndarray) -> np.ndarray:
-    """Convert angles and rates to degrees, with a gap where an angle jumps (see JUMP)."""
+    """Convert angles and rates to degrees, with a gap where an angle jumps (see ANGLE_JUMP)."""
     base = name.removesuffix("_ref")
     if base in ("p", "q", "r"):
         return np.degrees(values)

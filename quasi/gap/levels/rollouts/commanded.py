@@ -26,7 +26,7 @@ from quasi.terms.rotor_map import COMMANDED, SHARES
 def learned(known: Mapping[str, Any], flight: Flight, model: Model) -> tuple[np.ndarray, ActuatorDynamics] | None:
     """Settled speeds that a flight's commands ask for (N, 4), rad/s, and how rotors follow; None without its commands.
 
-    known  {"kind": "speeds" or "shares", "values": (11,) by `drive_fit.CONTROLLER_NAMES`, "voltage": V or None}
+    known  {"kind": "speeds" or "shares", "values": (11,) by `fit.CONSTANTS`, "voltage": V or None}
     model  whose limits of rotor speed hold, and what it knows of the age of the telemetry, which is no delay
     """
     names = COMMANDED if known["kind"] == "speeds" else SHARES

@@ -50,7 +50,7 @@ def channels_of(
 ) -> pd.DataFrame:
     """Table rollouts_channels of one flight and line: root mean square and whiteness of the end errors, by quantity.
 
-    starts (S,) rows; errors  {"before", "after": (S, K, OUTPUTS)} of `open_loop.vectors`, with their signs
+    starts (S,) rows; errors  {"before", "after": (S, K, VECTOR_SIZE)} of `open_loop.vectors`, with their signs
     The whiteness is the correlation of the end errors of windows that follow one another without overlap: 0 where a
     window says nothing of the next, NaN where there are too few.
     """

@@ -54,7 +54,7 @@ NO_ERROR = 1e-12  # squared error, SI units, that is none
 SPEED_LINES = (WITHOUT_TRIM, WITH_TRIM)
 YARDSTICKS = ("best_wrong_cause", "generic_polynomial")
 Residual = Callable[[Evidence], np.ndarray]
-Errors = dict[str, list[np.ndarray]]  # {line: (S, K, OUTPUTS) of each flight}
+Errors = dict[str, list[np.ndarray]]  # {line: (S, K, VECTOR_SIZE) of each flight}
 
 
 class Track(NamedTuple):
