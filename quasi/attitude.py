@@ -13,6 +13,7 @@ GRAVITY = 9.81  # m/s^2
 # cosine of the pitch below which roll and yaw are one angle: roll and yaw lose 1e-16 / POLE rad to rounding
 POLE = 1e-8
 AIR_DENSITY = 1.225  # kg/m^3, sea level, ISA
+HALF_TURN = np.array([1.0, -1.0, -1.0])  # of a vector about x: FLU to FRD, z up to down, and back
 
 
 def multiply(a: np.ndarray, b: np.ndarray) -> np.ndarray:

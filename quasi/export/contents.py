@@ -9,15 +9,13 @@ from quasi.airframe import Airframe
 from quasi.attitude import GRAVITY
 from quasi.errors import ConfigError
 from quasi.export.naming import identifier, shown
-from quasi.model.extensions import drive_of, extensions_of, read_rotor_constants, read_speed_limits
-from quasi.model.model import AXES, Model
+from quasi.model.extensions import DEFAULT_LAG, drive_of, extensions_of, read_rotor_constants, read_speed_limits
+from quasi.model.model import AXES, ROTORS, Model
 from quasi.terms.kernel import INPUTS
 from quasi.terms.variables import check_system_inputs
 
 PREFIX = "quasi_"
-ROTORS = ("w1", "w2", "w3", "w4")
 LATE_AIR = "inflow lag"  # the part of an extension with states of its own that its terms hold to first order
-DEFAULT_LAG = 1.0 / 35.0  # s, the rotors' time constant where a model knows none; the same as a simulation takes
 
 
 class Actuators(NamedTuple):

@@ -5,14 +5,14 @@ Both are the same turn by 180 degrees about x, so that each function undoes itse
 
 import numpy as np
 
-_TURN = np.array([1.0, -1.0, -1.0])
+from quasi.attitude import HALF_TURN
 
 
 def swap_vector(vector: np.ndarray) -> np.ndarray:
     """(..., 3) a position, velocity, force, moment or rate in the other axes."""
-    return np.asarray(vector, float) * _TURN
+    return np.asarray(vector, float) * HALF_TURN
 
 
 def swap_inertia(inertia: np.ndarray) -> np.ndarray:
     """(3, 3) an inertia tensor in the other axes: Ixy and Ixz change their sign, Iyz keeps it."""
-    return np.asarray(inertia, float) * np.outer(_TURN, _TURN)
+    return np.asarray(inertia, float) * np.outer(HALF_TURN, HALF_TURN)

@@ -14,7 +14,7 @@ import numpy as np
 
 from quasi.attitude import AIR_DENSITY, GRAVITY
 from quasi.errors import ConfigError
-from quasi.gap.flights.evidence import Evidence, rotor_levers
+from quasi.gap.flights.evidence import Evidence, induced_in_hover, rotor_levers
 from quasi.model.extensions import compute_flight_inertia, compute_flight_mass
 from quasi.model.model import Model
 from quasi.project.logbook import NAME_RULE, VALID_NAME
@@ -320,7 +320,7 @@ def vehicle_of(
     if "kappaFz" not in simple or "kappaMz" not in simple:
         raise ConfigError(f"model {model.id} has no simple model, which the search for causes needs; identify it anew")
     mass = frame.mass if mass is None else mass
-    area = 4.0 * np.pi * frame.radius**2
+    induced = float(np.sqrt(mass * GRAVITY / (8.0 * AIR_DENSITY * (np.pi * frame.radius**2))))
     return Vehicle(
         np.asarray(frame.hubs, float),
         np.asarray(frame.spin, float),
@@ -329,9 +329,9 @@ def vehicle_of(
         abs(float(simple["kappaMz"]["value"])),
         float(mass),
         np.asarray(frame.inertia if inertia is None else inertia, float),
-        float(np.sqrt(mass * GRAVITY / (2.0 * AIR_DENSITY * area))),
+        induced,
         _drawn(simple, mass, frame.radius),
-        _inflow(model, mass),
+        _inflow(model, mass, induced),
         room,
         rotor_levers(model, mass),
     )
@@ -348,25 +348,22 @@ def as_flown(vehicle: Vehicle, flights: Sequence[Evidence]) -> Vehicle:
 
 def _drawn(simple: Mapping[str, Mapping[str, float]], mass: float, radius: float) -> float:
     thrust, torque = simple["kappaFz"]["value"], abs(simple["kappaMz"]["value"])
-    induced = np.sqrt(mass * GRAVITY / (8.0 * AIR_DENSITY * np.pi * radius**2))
-    return float(min(thrust * induced / np.sqrt(mass * GRAVITY / (4.0 * thrust)), torque))
+    return float(min(thrust * induced_in_hover(mass, radius) / np.sqrt(mass * GRAVITY / (4.0 * thrust)), torque))
 
 
-def _inflow(model: Model, mass: float) -> float:
+def _inflow(model: Model, mass: float, induced: float) -> float:
     """What a lag of the inflow makes of a change of rotor speed, from the model's own response to climbing.
 
     Blade-element momentum theory of one hovering rotor: T = g (c W - V_climb - v) = 2 rho A v (v + V_climb). In
     equilibrium thrust falls with climb by s = g b/(2 (b + g)), b = 4 rho A v, so g = 2 s b/(b - 2 s); at an inflow that
     lags by tau, dT = g tau dv/dt with v in proportion to W. Source: Leishman, 2nd ed., 2006, sections 2.13 and 3.3.
     """
-    area = np.pi * model.airframe.radius**2
-    induced = np.sqrt(mass * GRAVITY / (8.0 * AIR_DENSITY * area))
     speed = np.sqrt(mass * GRAVITY / (4.0 * float(model.document["simple model"]["kappaFz"]["value"])))
     state = np.zeros((2, 12))
     state[:, 5] = -0.3, 0.3
     forces, _ = model.predict(state, np.full((2, 4), speed))
     slope = float(forces[0, 2] - forces[1, 2]) / 0.6 / 4.0  # climbing makes Fz less negative
-    stiff = 4.0 * AIR_DENSITY * area * induced
+    stiff = 4.0 * AIR_DENSITY * (np.pi * model.airframe.radius**2) * induced
     slope = float(np.clip(slope, 0.05 * stiff, 0.4 * stiff))
     gain = 2.0 * slope * stiff / (stiff - 2.0 * slope)
     return float(gain * induced / speed**2)
@@ -400,11 +397,6 @@ def hub_position(vehicle: Vehicle, rotor: int) -> tuple[str, str, str]:
     return tuple(f"({row} + {axis})" for row, axis in zip(rows, "xyz"))
 
 
-def hub_height(vehicle: Vehicle, rotor: int) -> str:
-    """Place of a hub along earth z (down), m, as an expression: minus its height above the floor."""
-    return hub_position(vehicle, rotor)[2]
-
-
 def at_hubs(vehicle: Vehicle, forces: Sequence[tuple[str, str, str]]) -> Terms:
     """Expressions of the wrench about the cg of forces at the four hubs, each (x, y, z), "" for none."""
     parts: dict[str, list[str]] = {axis: [] for axis in ("Fx", "Fy", "Fz", "Mx", "My", "Mz")}
@@ -431,11 +423,6 @@ def thrust_wrench(vehicle: Vehicle, thrusts: Sequence[str]) -> Terms:
     return {axis: " + ".join(texts) for axis, texts in parts.items()}
 
 
-def upward(vehicle: Vehicle, thrusts: Sequence[str]) -> Terms:
-    """Expressions of the wrench of additional thrusts along -z at the hubs, "" for none."""
-    return at_hubs(vehicle, [("", "", f"-({thrust})" if thrust else "") for thrust in thrusts])
-
-
 def total(parts: Sequence[Terms]) -> Terms:
     """Sum of wrenches."""
     summed: dict[str, list[str]] = {}
@@ -443,6 +430,16 @@ def total(parts: Sequence[Terms]) -> Terms:
         for axis, text in part.items():
             summed.setdefault(axis, []).append(text)
     return {axis: " + ".join(texts) for axis, texts in summed.items()}
+
+
+def least(a: str, b: str) -> str:
+    """min(a, b)."""
+    return f"(0.5*({a} + {b} - (({a} - {b})^2)^0.5))"
+
+
+def most(a: str, b: str) -> str:
+    """max(a, b)."""
+    return f"(0.5*({a} + {b} + (({a} - {b})^2)^0.5))"
 
 
 def positive(text: str) -> str:

@@ -20,6 +20,7 @@ from numba import njit
 
 from quasi.identification.regression import bartlett, memory_windows
 from quasi.tables import TELEMETRY_AGE_REMOVED
+from quasi.terms.rotor_map import LOW_VOLTAGE, ROTOR_NUMBERS, STEADY_VOLTAGE
 
 SHORTEST_TIME_CONSTANT, LONGEST_TIME_CONSTANT = 0.002, 0.5  # s, of a time constant
 MOST_DELAY = 0.1  # s
@@ -27,11 +28,9 @@ STRETCH_WARM_UP = 0.2  # s after the start of a stretch that is not compared: th
 COMPARED_RATE_HZ = 125.0  # Hz at which speeds are compared
 FEWEST_ROWS = 100  # compared rows
 LIVELY = 0.02  # a rotor whose speed varies less than this share of its mean gives no time constant
-STEADY_VOLTAGE = 0.01  # relative variation below which a battery gives no exponent
 WORST_NORMAL_CONDITION = 1e14  # of the normal equations of scaled columns
 STEPS = 30
 POWERS = [0, 1, 2]
-ROTOR_NUMBERS = range(1, 5)
 
 
 class Lag(NamedTuple):
@@ -101,7 +100,7 @@ def rotor_lag(
     dt = float(np.median(np.diff(t)))
     finite = np.isfinite(command) & np.isfinite(speed)
     if voltage is not None:
-        finite &= np.isfinite(voltage) & (voltage > 0.1 * reference)
+        finite &= np.isfinite(voltage) & (voltage > LOW_VOLTAGE * reference)
         if np.std(voltage[finite & rows]) < STEADY_VOLTAGE * reference:
             voltage = None
     start = finite & ~np.concatenate([[False], finite[:-1]])

@@ -33,10 +33,9 @@ from quasi.identification.joint_fit import JOINT_AXES, JointFit, prepare_flight
 from quasi.identification.partition import usable
 from quasi.identification.taught_map import teach_map, teaching_flights
 from quasi.identification.yaw_fit import fit_yaw
-from quasi.terms.rotor_map import FORMS, SPEEDS, WARM_UP_NAMES, raw_commands, raw_volts, used_rows
+from quasi.terms.rotor_map import FORMS, SPEEDS, STEADY_VOLTAGE, WARM_UP_NAMES, raw_commands, raw_volts, used_rows
 
 SHORTEST_COMPARED = 5.0  # s of compared rows of all flights together: ten times the longest time constant
-MIN_VOLTAGE_VARIATION = 0.01  # std over median of the voltage, as in the identification of actuators
 AFTER_LIMIT = 0.2  # s after a command left its limit: five lags of a brushed motor
 SATURATED_SHARE = 0.999  # a share of the command from which on it is at its limit
 # Static thrust coefficient T / (rho n2 D4) of small propellers is 0.08 to 0.14 (Deters, Ananda & Selig, AIAA 2014-2151,
@@ -168,7 +167,7 @@ def _operating_point(
         return operating, None
     volts = [raw_volts(f)[chosen[k]] for k, f in flights.items()]
     median = float(np.median(np.concatenate(volts)))
-    if not median > 0.0 or max(np.std(v) for v in volts if len(v)) < MIN_VOLTAGE_VARIATION * median:
+    if not median > 0.0 or max(np.std(v) for v in volts if len(v)) < STEADY_VOLTAGE * median:
         notes.append("the battery voltage hardly varies: the map from command to rotor speed is identified without it")
         return operating, None
     return operating, median

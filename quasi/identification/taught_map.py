@@ -16,6 +16,7 @@ import pandas as pd
 from scipy.optimize import least_squares
 
 from quasi.errors import DataError
+from quasi.identification.actuators import STEADY_VOLTAGE
 from quasi.identification.regression import memory_windows
 from quasi.terms.rotor_map import DELAY_RANGE, EXPONENT_RANGE, FORMS, SHARES, SPEEDS, TAU_RANGE, lagged, shape
 
@@ -53,7 +54,7 @@ def teach_map(
     operating, reference = float(np.median(commands)) if len(commands) else 0.0, None
     if all("battery_voltage" in f for f in flights.values()):
         volts = np.concatenate([f["battery_voltage"].to_numpy(float)[chosen[k]] for k, f in flights.items()])
-        if len(volts) and np.std(volts) >= 0.01 * np.median(volts) > 0.0:
+        if len(volts) and np.std(volts) >= STEADY_VOLTAGE * np.median(volts) > 0.0:
             reference = float(np.median(volts))
     taught = {k: _prepare(f, chosen[k], operating, reference) for k, f in flights.items()}
     seconds = sum(len(f.rows) * f.step for f in taught.values())

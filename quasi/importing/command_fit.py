@@ -15,16 +15,14 @@ import numpy as np
 import pandas as pd
 from scipy.optimize import least_squares
 
-from quasi.terms.rotor_map import lagged
+from quasi.terms.rotor_map import LOW_VOLTAGE, ROTOR_NUMBERS, STEADY_VOLTAGE, lagged
 
-ROTOR_NUMBERS = range(1, 5)
 FIT_RATE = 125.0  # Hz, commands and speeds are averaged to it, as the identification of actuators compares at
 TAU_RANGE = (0.002, 0.5)  # s, as in the identification of actuators
 DELAY_RANGE = (-0.025, 0.1)  # s, as in the identification of actuators; negative where telemetry is stamped early
 COMMAND_WARM_UP = 1.0  # s at the start that are not compared: the state of the lag is unknown there
 SHORTEST_FIT = 5.0  # s of compared rows: ten times the longest time constant
 MIN_SPEED_VARIATION = 0.02  # std over mean of a rotor's speed, as in the identification of actuators
-MIN_VOLTAGE_VARIATION = 0.01  # std over median of the voltage, as in the identification of actuators
 MIN_EXPLAINED = 0.8  # share of the variance; below it a first-order lag does not describe the rotors
 RESIDUAL_MEMORY = 0.3  # s over which residuals may be correlated, as in the drive's output-error fit
 LAG_GRID = [(tau, delay) for tau in (0.01, 0.03, 0.1) for delay in (0.0, 0.02)]  # s, starting values
@@ -137,8 +135,8 @@ def _average(frame: pd.DataFrame) -> tuple[_Samples, float | None]:
         volts = mean(frame["battery_voltage"].to_numpy(float))[:, 0]
         known = np.isfinite(volts) & (volts > 0.0)
         median = float(np.median(volts[known & rows])) if (known & rows).any() else 0.0
-        known &= volts > 0.1 * median
-        if median > 0.0 and np.std(volts[known & rows]) >= MIN_VOLTAGE_VARIATION * median:
+        known &= volts > LOW_VOLTAGE * median
+        if median > 0.0 and np.std(volts[known & rows]) >= STEADY_VOLTAGE * median:
             reference, rows = median, rows & known
             ratio = np.log(np.where(known, volts, median) / median)
     rows[: round(COMMAND_WARM_UP / (dt * every))] = False

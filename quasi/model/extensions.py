@@ -23,6 +23,7 @@ from quasi.terms.rotor_map import COMMANDED, RAW, SHARES, lagged, speed_exponent
 # keys of a model's document: mass, kg, and inertia, kg m2, with which its flights were processed
 CONFIGURED_MASS_KEY, CONFIGURED_INERTIA_KEY = "configured mass", "configured inertia"
 GAP_STEPS = 1.5  # usual steps in time, beyond which rows are missing
+DEFAULT_LAG = 1.0 / 35.0  # s, of the rotors, where the model has no time constants
 _LAGS = ("time constants", "time constants up", "time constants down")
 _ROTOR_CONSTANTS = (
     "time constant",

@@ -24,8 +24,8 @@ from quasi.export.listing import of_model
 from quasi.export.naming import identifier, name_of, shown
 from quasi.export.python_source import python_file
 from quasi.export.running import check_c, check_python, run_c, run_python
+from quasi.model.extensions import DEFAULT_LAG
 from quasi.model.model import Model, read_model
-from quasi.simulation.control.control_model import DEFAULT_ACTUATOR_LAG
 from quasi.tables import read_json, write_json
 
 ROOT = Path(__file__).parents[2]
@@ -259,8 +259,7 @@ def test_constants_stand_in_si_and_mechanical_rad_per_second():
     assert "const real quasi_m_highest_speed = N(3000.0);" in c_files(made)["quasi_m.c"]
     bare = actuators_of(Model(document()))
     assert bare.highest == math.inf and any("'max RPM'" in note for note in bare.notes)
-    assert (bare.up == DEFAULT_ACTUATOR_LAG).all(), "the same as a simulation takes"
-    assert contents.DEFAULT_LAG == DEFAULT_ACTUATOR_LAG
+    assert (bare.up == DEFAULT_LAG).all(), "the same as a simulation takes"
 
 
 def test_head_says_whether_gravity_is_to_be_added():

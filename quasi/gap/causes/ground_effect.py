@@ -1,6 +1,6 @@
 """More thrust near the floor."""
 
-from quasi.gap.effect import Effect, Parameter, Terms, Values, Vehicle, hub_height, number, thrust_wrench
+from quasi.gap.effect import Effect, Parameter, Terms, Values, Vehicle, hub_position, least, most, number, thrust_wrench
 
 NEAREST = 0.2  # rotor radii: below, the formula is not used
 MOST_GROUND_EFFECT = 0.6  # of c (R/4h)^2: above, the formula runs towards its pole, where no rotor has been measured
@@ -8,8 +8,7 @@ MOST_GROUND_EFFECT = 0.6  # of c (R/4h)^2: above, the formula runs towards its p
 
 def _nearness(vehicle: Vehicle, rotor: int) -> str:
     """(R/4h)^2, h kept above its smallest value."""
-    least, height = number(NEAREST * vehicle.radius), f"(-{hub_height(vehicle, rotor)})"
-    kept = f"(0.5*({height} + {least} + (({height} - {least})^2)^0.5))"
+    kept = most(f"(-{hub_position(vehicle, rotor)[2]})", number(NEAREST * vehicle.radius))
     return f"({number(vehicle.radius)}/(4*{kept}))^2"
 
 
@@ -29,7 +28,7 @@ def _curved(vehicle: Vehicle, values: Values) -> Terms:
         thrusts = []
         for i in range(4):
             whole = f"{number(values.get(name, 0.0))}*{_nearness(vehicle, i)}"
-            near = f"(0.5*({whole} + {number(MOST_GROUND_EFFECT)} - (({whole} - {number(MOST_GROUND_EFFECT)})^2)^0.5))"
+            near = least(whole, number(MOST_GROUND_EFFECT))
             thrusts.append(f"{number(vehicle.thrust)}*w{i + 1}^2*({near}/(1 - {near}))")
         made |= _split(thrust_wrench(vehicle, thrusts))[name]
     return made

@@ -2,14 +2,15 @@
 
 import numpy as np
 
-from quasi.gap.effect import Effect, Extension, Parameter, Terms, Values, Vehicle, number, upward
+from quasi.gap.effect import Effect, Extension, Parameter, Terms, Values, Vehicle, at_hubs, number
 from quasi.gap.flights.evidence import Evidence
 from quasi.gap.flights.inflow import SHORTEST_LAG, overshoot
 from quasi.model.model import Model
 
 
 def _terms(vehicle: Vehicle) -> dict[str, Terms]:
-    return {"tau": upward(vehicle, [f"{number(vehicle.inflow)}*w{i}*w{i}_dot" for i in range(1, 5)])}
+    up = [("", "", f"-({number(vehicle.inflow)}*w{i}*w{i}_dot)") for i in range(1, 5)]
+    return {"tau": at_hubs(vehicle, up)}
 
 
 def _whole(evidence: Evidence, vehicle: Vehicle, values: Values) -> np.ndarray:

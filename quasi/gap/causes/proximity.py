@@ -1,20 +1,10 @@
 """Walls and a ceiling close by."""
 
 from quasi.errors import DataError
-from quasi.gap.effect import Effect, Parameter, Terms, Vehicle, hub_position, number, thrust_wrench
+from quasi.gap.effect import Effect, Parameter, Terms, Vehicle, hub_position, least, most, number, thrust_wrench
 
 WALL_REACH = 1.0  # m, over which the air that a wall throws back dies away
 NEAREST = 0.2  # rotor radii: below, the formula of the ceiling is not used
-
-
-def _least(a: str, b: str) -> str:
-    """min(a, b)."""
-    return f"(0.5*({a} + {b} - (({a} - {b})^2)^0.5))"
-
-
-def _most(a: str, b: str) -> str:
-    """max(a, b)."""
-    return f"(0.5*({a} + {b} + (({a} - {b})^2)^0.5))"
 
 
 def _terms(vehicle: Vehicle) -> dict[str, Terms]:
@@ -28,14 +18,14 @@ def _terms(vehicle: Vehicle) -> dict[str, Terms]:
     for i in range(4):
         north, east, down = hub_position(vehicle, i)
         along = [
-            _least(f"({place} - {number(low)})", f"({number(high)} - {place})")
+            least(f"({place} - {number(low)})", f"({number(high)} - {place})")
             for place, (low, high) in ((north, room.north), (east, room.east))
         ]
-        wall = _most(_least(*along), "0")
+        wall = most(least(*along), "0")
         thrust = f"{number(vehicle.thrust)}*w{i + 1}^2"
         walls.append(f"-{thrust}*2.718281828459045^(-({wall}/{number(WALL_REACH)})^2)")
         if room.height is not None:
-            below = _most(f"({number(room.height)} + {down})", number(NEAREST * vehicle.radius))
+            below = most(f"({number(room.height)} + {down})", number(NEAREST * vehicle.radius))
             ceiling.append(f"{thrust}*({number(vehicle.radius)}/(4*{below}))^2")
     terms = {"gain": thrust_wrench(vehicle, walls)}
     return terms | ({"ceiling": thrust_wrench(vehicle, ceiling)} if ceiling else {})

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from quasi.attitude import GRAVITY, rotate
+from quasi.attitude import GRAVITY, HALF_TURN, rotate
 from quasi.errors import ConfigError, DataError, ReadError, add_caution
 from quasi.importing.contradictions import rates_explained, refuse_wrong_rates
 from quasi.importing.onboard_attitude import rest_at_start
@@ -21,7 +21,6 @@ from quasi.importing.series import Recording, Series
 KEY = "logged body axes"
 FRD, FLU = "x forward, y right, z down", "x forward, y left, z up"
 CHOICES = {"from the log": None, "FRD": FRD, "FLU": FLU}
-HALF_TURN = np.array([1.0, -1.0, -1.0])  # about x: between both kinds
 TURNED = ("q", "r", "ay", "az", "setpoint_q", "setpoint_r")  # quantities that the half turn reverses
 RATES, FORCE, QUATERNION = ("p", "q", "r"), ("ax", "ay", "az"), ("qw", "qx", "qy", "qz")
 LEAST_UP = 0.5  # of the force's size, that has to point up or down to decide; at rest and in mean flight it is about 1

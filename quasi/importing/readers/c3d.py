@@ -15,14 +15,13 @@ from pathlib import Path
 
 import numpy as np
 
-from quasi.attitude import from_matrix
+from quasi.attitude import HALF_TURN, from_matrix
 from quasi.errors import ReadError, add_caution, nearest
 from quasi.importing.readers.captured_body import LARGEST, LENGTHS, Body, capture_reader, captured_recording
 from quasi.importing.readers.reader import needs_extra
 from quasi.importing.series import Recording
 from quasi.tables import read_bytes
 
-HALF_TURN = np.array([1.0, -1.0, -1.0])  # about x: FLU to FRD, z up to down
 Y_UP = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])  # y up (forward z, left x) to z up
 FIRST = 100  # frames with all markers whose mean is the shape of the body, those before take-off
 LEAST_MARKERS = 3

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from quasi.attitude import from_euler, interpolate, multiply, rotate_inverse
+from quasi.attitude import HALF_TURN, from_euler, interpolate, multiply, rotate_inverse
 from quasi.errors import ReadError, nearest, quoted
 from quasi.importing.checks.rotor_speeds import clean_rotor_speeds
 from quasi.importing.clocks.table_clocks import in_long_runs, uncrowded
@@ -17,7 +17,6 @@ from quasi.importing.readers.signals import Signals
 from quasi.importing.readers.table_mapping import EULER_ANGLES, MAPPED_ROTORS, QUATERNION, VECTOR_COLUMNS, Source
 from quasi.importing.streams import unwrapped
 
-HALF_TURN = np.array([1.0, -1.0, -1.0])  # half a turn about x: FLU to FRD, z-up to NED
 LONGEST_HOLD = 10  # rows; a row clock's values that stay the same for longer are believed (rest, coarse quantisation)
 ABSURD = 1e30  # beyond any unit and any clock
 LEAST_ROWS = 20  # samples of a source, below which neither a clock nor a motion can be judged

@@ -13,14 +13,13 @@ from pathlib import Path
 
 import numpy as np
 
-from quasi.attitude import from_matrix
+from quasi.attitude import HALF_TURN, from_matrix
 from quasi.errors import ReadError
 from quasi.importing.readers.captured_body import Body, capture_reader, captured_recording, choose_body, number_in
 from quasi.importing.readers.table_text import SEPARATORS, from_header
 from quasi.importing.series import Recording
 from quasi.tables import read_table_text
 
-HALF_TURN = np.array([1.0, -1.0, -1.0])  # about x: FLU to FRD, z up to down
 MILLI = 1e-3  # m; QTM writes TSV files in mm
 
 

@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from quasi.attitude import HALF_TURN
 from quasi.errors import ReadError, add_caution
 from quasi.importing.readers.captured_body import (
     LENGTHS,
@@ -28,7 +29,6 @@ from quasi.importing.readers.table_text import SEPARATORS, from_header
 from quasi.importing.series import Recording
 from quasi.tables import read_table_text
 
-HALF_TURN = np.array([1.0, -1.0, -1.0])  # about x: FLU to FRD, z up to down
 ANGLES = {"deg": np.pi / 180, "rad": 1.0}
 LEAST_TURN = 0.1  # rad, of a rotation below which vector and angles agree to 0.3 deg
 

@@ -11,11 +11,10 @@ import numpy as np
 
 from quasi.airframe import Airframe
 from quasi.errors import ConfigError, DataError
-from quasi.model.extensions import drive_of, read_speed_limits
+from quasi.model.extensions import DEFAULT_LAG, drive_of, read_speed_limits
 from quasi.model.hover import find_hover_speed, predict_at_rest
 from quasi.model.model import Model
 
-DEFAULT_ACTUATOR_LAG = 1.0 / 35.0  # s, where the model has no time constants
 _HIGHEST_SPEED_RATIO, _LOWEST_SPEED_RATIO = 2.0, 0.1  # of the hover speed, where the airframe has no limits
 
 
@@ -134,7 +133,7 @@ def _check_steering(vehicle: ControlModel) -> None:
 
 def _read_lags(model: Model) -> Any:
     constants = (drive_of(model.document).get("time constants") or {}).get("value")
-    return DEFAULT_ACTUATOR_LAG if constants is None else constants
+    return DEFAULT_LAG if constants is None else constants
 
 
 def _read_times(value: Any, where: str) -> np.ndarray:

@@ -13,6 +13,7 @@ from numba import njit
 
 from quasi.attitude import GRAVITY
 from quasi.simulation.control.controllers import controller_step
+from quasi.simulation.control.outer_loop import SETPOINT_SIZE
 from quasi.simulation.control.references import evaluate_reference
 from quasi.simulation.vehicle.dynamics import compute_loads, count_inputs, integrate_step, rotor_acceleration
 from quasi.simulation.vehicle.layout import (
@@ -44,7 +45,6 @@ from quasi.simulation.vehicle.sensors_and_wind import (
 from quasi.terms.kernel import Kernel
 from quasi.terms.lanes import any_lane, choose
 
-SETPOINT_SIZE = 20
 EXTERNAL_REFERENCE = -1  # kind of a reference whose setpoint is set by the caller
 # columns of the log
 (

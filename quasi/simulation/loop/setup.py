@@ -21,11 +21,10 @@ from quasi import attitude
 from quasi.airframe import Airframe
 from quasi.attitude import GRAVITY
 from quasi.errors import ConfigError, DataError
-from quasi.model.extensions import drive_of, read_rotor_constants, read_speed_limits, wind_of
+from quasi.model.extensions import DEFAULT_LAG, drive_of, read_rotor_constants, read_speed_limits, wind_of
 from quasi.model.hover import find_hover_speed
 from quasi.model.model import Model
 from quasi.project import configuration
-from quasi.simulation.control.control_model import DEFAULT_ACTUATOR_LAG
 from quasi.simulation.control.controllers import make_controller
 from quasi.simulation.control.references import make_reference
 from quasi.simulation.loop.closed_loop import ActuatorLimits, Battery, LoopParameters, LoopState, make_loop_state
@@ -315,8 +314,8 @@ def _make_actuator(
         if first is None:
             first = of_model("time constants up", "time constants")
             if first is None:
-                first = DEFAULT_ACTUATOR_LAG
-                notes.append(f"the model has no time constants of the rotors; {DEFAULT_ACTUATOR_LAG:.4f} s is used")
+                first = DEFAULT_LAG
+                notes.append(f"the model has no time constants of the rotors; {DEFAULT_LAG:.4f} s is used")
         second = asked["time constants down"]
         if second is None:
             second = of_model("time constants down") if asked["time constants"] is None else None

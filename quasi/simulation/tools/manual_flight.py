@@ -13,10 +13,9 @@ from typing import Protocol
 
 import numpy as np
 
-from quasi.simulation.control.outer_loop import ATTITUDE_SETPOINT, VELOCITY_SETPOINT
+from quasi.simulation.control.outer_loop import ATTITUDE_SETPOINT, SETPOINT_SIZE, VELOCITY_SETPOINT
 from quasi.simulation.tools.keyboard import HeldKeys
 
-SETPOINT_SIZE = 20
 MAX_SIMULATED_TIME = (
     0.1  # s of simulation between two pictures at most; a slow computer then simulates slower than real time
 )

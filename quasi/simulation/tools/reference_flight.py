@@ -9,11 +9,11 @@ from collections.abc import Callable
 
 import numpy as np
 
+from quasi.simulation.control.outer_loop import POSITION_SETPOINT
 from quasi.simulation.tools.keyboard import HeldKeys
 from quasi.simulation.tools.manual_flight import Flight, Keys, Pace, View
 
 REFERENCE_HELP = "space pauses, r starts again, q ends"
-POSITION_SETPOINT = 0.0
 MAX_REFERENCE_POINTS = 2000  # of a reference's path; more are not visible
 
 

@@ -16,9 +16,8 @@ from numba import njit
 
 from quasi.attitude import GRAVITY, from_euler, to_euler
 from quasi.errors import DataError, ShapeError
-from quasi.model.extensions import drive_of, read_rotor_constants, read_speed_limits, wind_of
+from quasi.model.extensions import DEFAULT_LAG, drive_of, read_rotor_constants, read_speed_limits, wind_of
 from quasi.model.model import Model
-from quasi.simulation.control.control_model import DEFAULT_ACTUATOR_LAG
 from quasi.simulation.vehicle.dynamics import (
     RK4,
     count_inputs,
@@ -263,7 +262,7 @@ def read_actuator_dynamics(model: Model) -> ActuatorDynamics:
     late = value("delay")
     late = 0.0 if late is None else max(float(np.mean(late)), 0.0)
     return ActuatorDynamics(
-        *(np.array(DEFAULT_ACTUATOR_LAG if tau is None else tau, float) for tau in (up, down)), late, low, high
+        *(np.array(DEFAULT_LAG if tau is None else tau, float) for tau in (up, down)), late, low, high
     )
 
 

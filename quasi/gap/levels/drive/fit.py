@@ -20,7 +20,7 @@ from quasi.identification.regression import bartlett
 from quasi.importing.command_fit import RESIDUAL_MEMORY
 from quasi.model.extensions import are_estimated, drive_of
 from quasi.tables import TELEMETRY_AGE_REMOVED
-from quasi.terms.rotor_map import COMMANDED, SHARES, SPEEDS
+from quasi.terms.rotor_map import COMMANDED, LOW_VOLTAGE, SHARES, SPEEDS
 
 DRIVE_ITERATIONS = 12
 FEWEST_DRIVE_ROWS = 300  # rows
@@ -28,7 +28,6 @@ LEAST_DRIVE_NOISE = 0.1  # rad/s: no residual is known better
 LEAST_SAG = 0.003  # natural log of the voltage: below this variation within a flight the exponent is not estimated
 LEAST_LAG, MOST_LAG, EARLIEST, LATEST = 0.002, 0.4, -0.03, 0.1  # s
 OWN_LAG = (0.2, 5.0)  # times the common time constants, between which a rotor's own are sought
-LOW_VOLTAGE = 0.1  # of the reference, below which a reading is none
 # parameters in order: time constants, delay, map, battery exponent, each rotor's speed relative to the common map
 CONSTANTS = ("up", "down", "delay", "a0", "a1", "a2", "exponent", "rotor1", "rotor2", "rotor3", "rotor4")
 DIFFERENCES = np.array([5e-4, 5e-4, 3e-4, 2.0, 20.0, 20.0, 0.02, 0.002, 0.002, 0.002, 0.002])

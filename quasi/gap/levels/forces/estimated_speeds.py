@@ -24,7 +24,7 @@ from quasi.model.extensions import (
     drive_of,
 )
 from quasi.model.model import Model
-from quasi.terms.rotor_map import speed_exponent
+from quasi.terms.rotor_map import LOW_VOLTAGE, speed_exponent
 
 SAG, SCALE = "battery_sag", "rotor_speed_scale"
 OF_TELEMETRY = (SCALE, "telemetry_delay")  # causes of measured speeds alone
@@ -35,7 +35,6 @@ LAG_STARTS, LEAST_SHARE = (-0.4, 0.4, 1.0), 0.1  # changes of the model's own la
 LAG_OF_AIR = "inflow_lag"  # thrust that leads the rotor speed, as it does where rotors are faster than the map says
 OF_THRUST = ("thrust_factor", "thrust_curve", "thrust_drift")  # of all rotors alike, at the same speed
 SPEED_LEVELS = (0.5, 2.0)  # of speed at the same command: beyond it lies another motor
-MIN_RATIO = 0.1  # of the reference voltage: below it a log holds no battery
 OF_THE_SAME_THRUST = ("thrust_factor", "mass", "thrust_drift", "thrust_curve")
 TIE_BREAKER = "a long flight from a full to an empty battery with pulls of the throttle, or batteries of other charge"
 
@@ -144,7 +143,7 @@ def sag_of_forces(effect: Effect, model: Model, reference: float) -> Effect:
     own = speed_exponent(map_of(model.document)) + changes_of_map(model).exponent
 
     def columns(evidence: Evidence, _: Values) -> dict[str, np.ndarray]:
-        ratio = np.maximum(evidence.take("battery_voltage")[:, 0], MIN_RATIO * reference) / reference
+        ratio = np.maximum(evidence.take("battery_voltage")[:, 0], LOW_VOLTAGE * reference) / reference
         slope = evidence.gradient(*ROTORS)
         parts = {"exponent": evidence.speeds * np.log(ratio)[:, None], "level": evidence.speeds}
         return {name: np.einsum("nij,nj->ni", slope, part) for name, part in parts.items()}

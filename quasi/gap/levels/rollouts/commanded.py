@@ -14,13 +14,13 @@ import numpy as np
 from quasi.errors import ConfigError
 from quasi.gap.effect import Effect, Vehicle
 from quasi.gap.extension import extend
-from quasi.gap.levels.drive.fit import CONSTANTS, LOW_VOLTAGE
+from quasi.gap.levels.drive.fit import CONSTANTS
 from quasi.gap.levels.drive.identify import DRIVE_CAUSES
 from quasi.gap.levels.rollouts.open_loop import Flight
 from quasi.model.extensions import read_rotor_constants
 from quasi.model.model import Model
 from quasi.simulation.tools.replay import ActuatorDynamics, read_actuator_dynamics
-from quasi.terms.rotor_map import COMMANDED, SHARES
+from quasi.terms.rotor_map import COMMANDED, LOW_VOLTAGE, SHARES
 
 
 def learned(known: Mapping[str, Any], flight: Flight, model: Model) -> tuple[np.ndarray, ActuatorDynamics] | None:
