@@ -38,13 +38,12 @@ VELOCITY_BAND = 8.0
 class Lines(NamedTuple):
     """Rotor lines over time, L of them: harmonic by harmonic, and rotor by rotor within.
 
-    harmonic, rotor  (L,) int, from 1; true (N, L) Hz, of the rotor's motion; frequency (N, L) Hz, where it stands on
+    harmonic  (L,) int, from 1; true (N, L) Hz, of the rotor's motion; frequency (N, L) Hz, where it stands on
     the grid; weight (N, L) from 0 (left in) to 1 (taken out); width Hz, between the points of half gain; lowest Hz,
     below which nothing is touched; rate Hz
     """
 
     harmonic: np.ndarray
-    rotor: np.ndarray
     true: np.ndarray
     frequency: np.ndarray
     weight: np.ndarray
@@ -100,7 +99,7 @@ def lines(
     # nearer to half the rate a line and its mirror image fall into one notch
     weight *= _fade(0.5 * rate - frequency - width, width)
     weight[~there] = 0.0
-    return Lines(order, rotor + 1, true, frequency, weight, float(width), float(lowest), float(rate))
+    return Lines(order, true, frequency, weight, float(width), float(lowest), float(rate))
 
 
 def near_zero(speeds: np.ndarray, log_rate: float, rate: float) -> np.ndarray:

@@ -368,7 +368,7 @@ def _gains(
         main = min(known, key=lambda row: (abs(row["horizon"] - HORIZON), -row["moved"]), default=None)
         entry["gain"]["rollout"] = main and main["value"]
         entry["rollout channel"] = main and main["quantity"]
-        entry["rollout gain"], entry["rollout gains"] = main, rows
+        entry["rollout gain"] = main
 
 
 def _suspected(entries: Sequence[Mapping[str, Any]]) -> set[str]:

@@ -110,7 +110,6 @@ def fit_axis(
         "terms": entries,
         "estimated": estimated,
         "covariance": fit.covariance.tolist(),
-        "plain covariance": fit.plain_covariance.tolist(),
         "sigma2": fit.sigma2,
         "R2": 1.0 - error / total,
         "RMSE": float(np.sqrt(error / len(raw))),

@@ -58,7 +58,6 @@ class ModelJobs:
         masses = [m for m, _ in map(self.recordings.mass, training) if m]
         return {
             "model": name,
-            "quadrotor name": training[0].quadrotor,
             "quadrotor": part["quadrotor"],
             "mass": sum(masses) / len(masses) if masses else None,
             "flights": [r.key for r in training],

@@ -65,13 +65,12 @@ class Loop(NamedTuple):
 class Margins(NamedTuple):
     """The closed loop about hover.
 
-    stable; least_damping of its oscillations; largest_eigenvalue (size, of the sampled loop); Margin by_direction;
+    stable; least_damping of its oscillations; Margin by_direction;
     all_at_once: the disk margin alpha for independent simultaneous changes of gain and phase in all four directions
     """
 
     stable: bool
     least_damping: float
-    largest_eigenvalue: float
     by_direction: dict[str, Margin]
     all_at_once: float
 
@@ -96,7 +95,7 @@ def compute_margins(
     identity = np.eye(4)
     sensitivity = np.linalg.inv(identity + mixed)
     together = 1.0 / np.max(np.linalg.norm(sensitivity - 0.5 * identity, ord=2, axis=(-2, -1)))
-    return Margins(largest < 1.0, damping, largest, found, float(together))
+    return Margins(largest < 1.0, damping, found, float(together))
 
 
 def actuators_of_setup(setup: Setup) -> dict[str, Any]:
