@@ -25,7 +25,7 @@ from quasi.export.contents import (
     terms_of,
 )
 from quasi.export.listing import Listing, Output, Writer, of_derivatives, of_model, of_region, weighted
-from quasi.export.naming import identifier, shown
+from quasi.export.naming import local, shown
 from quasi.model.model import AXES, Model
 from quasi.terms.differential import RATES
 from quasi.terms.kernel import INPUTS
@@ -45,11 +45,6 @@ def number(value: float) -> str:
     if math.isinf(value):
         return "INFINITY" if value > 0 else "(-INFINITY)"
     return f"N({value!r})"
-
-
-def local(name: str) -> str:
-    """Identifier of an input inside a function."""
-    return name if name in INPUTS else identifier(name, "extra_")
 
 
 def _call(function: str, parts: Sequence[str]) -> str:

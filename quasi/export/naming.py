@@ -6,6 +6,8 @@ hexadecimal digits of its code; an _ that would read as such a mark is marked it
 
 import re
 
+from quasi.terms.kernel import INPUTS
+
 _MARK = re.compile(r"_x([0-9a-f]{2,6})_")
 
 
@@ -17,6 +19,11 @@ def identifier(name: str, prefix: str = "") -> str:
     """
     marked = re.sub(r"_(?=x[0-9a-f])", "_x5f_", name)
     return prefix + re.sub(r"[^A-Za-z0-9_]", lambda found: f"_x{ord(found.group()):02x}_", marked)
+
+
+def local(name: str) -> str:
+    """Identifier of an input inside a function."""
+    return name if name in INPUTS else identifier(name, "extra_")
 
 
 def name_of(mapped: str, prefix: str = "") -> str:

@@ -21,10 +21,9 @@ from quasi.export.contents import (
     terms_of,
 )
 from quasi.export.listing import Expression, Listing, Output, Writer, of_derivatives, of_model, of_region, weighted
-from quasi.export.naming import identifier, shown
+from quasi.export.naming import local, shown
 from quasi.model.model import AXES, Model
 from quasi.terms.differential import RATES
-from quasi.terms.kernel import INPUTS
 
 _NUMPY_FUNCTIONS = {"abs": "np.abs", "sqrt": "np.sqrt", "sin": "np.sin", "cos": "np.cos", "log": "np.log",
               "power": "np.power", "divide": "np.divide", "sign": "np.sign", "wrap": "_wrap"}  # fmt: skip
@@ -37,11 +36,6 @@ def number(value: float) -> str:
     if math.isinf(value):
         return "np.inf" if value > 0 else "(-np.inf)"
     return repr(value) if math.copysign(1.0, value) > 0 else f"({value!r})"
-
-
-def local(name: str) -> str:
-    """Identifier of an input inside a function."""
-    return name if name in INPUTS else identifier(name, "extra_")
 
 
 WRITER = Writer(number, lambda function, parts: f"{_NUMPY_FUNCTIONS[function]}({', '.join(parts)})", local)

@@ -15,11 +15,9 @@ import numpy as np
 import pandas as pd
 from scipy.optimize import least_squares
 
-from quasi.terms.rotor_map import LOW_VOLTAGE, ROTOR_NUMBERS, STEADY_VOLTAGE, lagged
+from quasi.terms.rotor_map import DELAY_RANGE, LOW_VOLTAGE, ROTOR_NUMBERS, STEADY_VOLTAGE, TAU_RANGE, lagged
 
 FIT_RATE = 125.0  # Hz, commands and speeds are averaged to it, as the identification of actuators compares at
-TAU_RANGE = (0.002, 0.5)  # s, as in the identification of actuators
-DELAY_RANGE = (-0.025, 0.1)  # s, as in the identification of actuators; negative where telemetry is stamped early
 COMMAND_WARM_UP = 1.0  # s at the start that are not compared: the state of the lag is unknown there
 SHORTEST_FIT = 5.0  # s of compared rows: ten times the longest time constant
 MIN_SPEED_VARIATION = 0.02  # std over mean of a rotor's speed, as in the identification of actuators

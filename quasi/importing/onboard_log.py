@@ -9,7 +9,7 @@ import numpy as np
 
 from quasi.attitude import interpolate
 from quasi.errors import ConfigError, DataError, add_caution
-from quasi.importing.captured_sensors import Captured
+from quasi.importing.captured_sensors import POSITION_COLUMNS, QUATERNION, Captured
 from quasi.importing.checks import check_recording
 from quasi.importing.clocks.filter_delays import header_delays
 from quasi.importing.clocks.synchronisation import Motion
@@ -27,8 +27,7 @@ LEAST_SAMPLES = 20
 BANDWIDTH = 10.0  # Hz of made sensors, as of velocities from captured positions
 MADE_COLUMN = "reconstructed"
 RATES, FORCE = ("p", "q", "r"), ("ax", "ay", "az")
-QUATERNION = ("qw", "qx", "qy", "qz")
-POSITION_COLUMNS, VELOCITY_COLUMNS, BODY_VELOCITY = ("x", "y", "z"), ("vx", "vy", "vz"), ("u", "v", "w")
+VELOCITY_COLUMNS, BODY_VELOCITY = ("vx", "vy", "vz"), ("u", "v", "w")
 LINEAR = ("linear_ax", "linear_ay", "linear_az")
 _KNOWN_COLUMNS = {
     *(*RATES, *FORCE, *QUATERNION, *POSITION_COLUMNS, *VELOCITY_COLUMNS, *BODY_VELOCITY, *LINEAR),

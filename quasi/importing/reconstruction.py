@@ -21,12 +21,12 @@ import numpy as np
 
 from quasi.attitude import GRAVITY, body_rates, continuous, from_euler, interpolate, rotate_inverse, to_euler
 from quasi.errors import DataError, add_caution
-from quasi.importing.captured_sensors import Captured, force_and_rates
+from quasi.importing.captured_sensors import QUATERNION, Captured, force_and_rates
 from quasi.importing.derivatives import NOISE, ONE_SIGMA, derivative_error, origin_of, typical_size
 from quasi.importing.resampling import low_pass, velocity
 from quasi.importing.series import Series, Track
 
-EULER_ANGLES, QUATERNION = ("roll", "pitch", "yaw"), ("qw", "qx", "qy", "qz")
+EULER_ANGLES = ("roll", "pitch", "yaw")
 # share of g below which the direction of the specific force is that of its errors: 0.5 m/s2 of error is 10 deg there
 MIN_FORCE_SHARE = 0.3
 CROSSOVER = 1.0  # Hz, below which the velocity gives the acceleration: on CrazyPAD an offset of 0.7 deg in roll goes

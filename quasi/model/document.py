@@ -32,7 +32,7 @@ def check_document(document: Any, where: str) -> None:
         raise ConfigError(f"{where}: 'gravity' is {document['gravity']!r}, expected 'withGravity' or 'noGravity'")
     hover = document["hover speed"]
     if not isinstance(hover, Mapping) or not (
-        hover.get("value") is None or (_finite(hover["value"]) and hover["value"] > 0.0)
+        hover.get("value") is None or (is_number(hover["value"]) and hover["value"] > 0.0)
     ):
         raise ConfigError(
             f"{where}: 'hover speed' must hold a positive number of rad/s under 'value'; build the model again"
@@ -56,10 +56,10 @@ def _check_axis(part: Any, where: str) -> None:
         for key in ("expression", "name", "unit"):
             if not isinstance(term, Mapping) or not isinstance(term.get(key), str):
                 raise ConfigError(f"{where}, term {number} has no {key}; build the model again")
-        if term.get("t") is not None and not _finite(term["t"]):
+        if term.get("t") is not None and not is_number(term["t"]):
             raise ConfigError(f"{where}, term {number}: 't' is {term['t']!r}, expected a number; build the model again")
         for key in ("coefficient", "std"):
-            if not _finite(term.get(key)):
+            if not is_number(term.get(key)):
                 raise ConfigError(
                     f"{where}, term {term['expression']!r}: '{key}' is {term.get(key)!r}, expected a finite number; "
                     "build the model again"
@@ -75,13 +75,14 @@ def _check_axis(part: Any, where: str) -> None:
             f"{where}: 'covariance' must be {estimated} x {estimated} finite numbers; build the model again"
         )
     for key in ("sigma2", "effective rows", "confidence level", "R2", "RMSE", "n"):
-        if not _finite(part.get(key)):
+        if not is_number(part.get(key)):
             raise ConfigError(f"{where}: '{key}' is {part.get(key)!r}, expected a finite number; build the model again")
     if part.get("unit") not in ("N", "N m"):
         raise ConfigError(f"{where}: 'unit' is {part.get('unit')!r}, expected 'N' or 'N m'; build the model again")
 
 
-def _finite(value: Any) -> bool:
+def is_number(value: Any) -> bool:
+    """Whether a value of plain data is a finite number."""
     return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
 
 
@@ -90,8 +91,8 @@ def airframe_of(plain: Any, where: str) -> Airframe:
     try:
         frame = from_plain(plain)
         good = frame.hubs.shape == (4, 3) and frame.spin.shape == (4,) and frame.inertia.shape == (3, 3)
-        lengths = _finite(frame.radius) and _finite(frame.arm) and frame.radius > 0 and frame.arm > 0
-        weighs = frame.mass is None or (_finite(frame.mass) and frame.mass > 0)
+        lengths = is_number(frame.radius) and is_number(frame.arm) and frame.radius > 0 and frame.arm > 0
+        weighs = frame.mass is None or (is_number(frame.mass) and frame.mass > 0)
         tensor = np.all(np.isfinite(frame.inertia)) and np.min(np.linalg.eigvalsh(frame.inertia)) > 0
     except QuasiError:
         raise

@@ -19,7 +19,7 @@ from typing import Any
 from quasi.airframe import DEFAULT_POLES, Airframe, erpm100_to_rad_s, read_airframe
 from quasi.errors import ConfigError, ExpressionError, nearest, quoted
 from quasi.model.build import assemble_model
-from quasi.model.document import AXES
+from quasi.model.document import AXES, is_number
 from quasi.model.model import Model
 from quasi.project.logbook import NAME_RULE, VALID_NAME
 from quasi.tables import fingerprint, read_json
@@ -133,7 +133,7 @@ class _Reader:
             raise ConfigError(f"{where}: 'offset' is {part['offset']!r}, but only 0 is understood; add it to the bias")
         terms = []
         for regressor, coefficient in zip(regressors, coefficients):
-            if not _finite(coefficient):
+            if not is_number(coefficient):
                 raise ConfigError(
                     f"{where}: the coefficient of {_shown(regressor)} is {_shown(coefficient)}, expected a number; "
                     "the file is damaged"
@@ -309,13 +309,9 @@ def _number(section: Any, key: str, where: str, default: float | None) -> float 
     value = section.get(key, default) if isinstance(section, Mapping) else default
     if value is None:
         return None
-    if not _finite(value):
+    if not is_number(value):
         raise ConfigError(f"{where}: '{key}' is {_shown(value)}, expected a number; the file is damaged")
     return float(value)
-
-
-def _finite(value: Any) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
 
 
 def _shown(value: Any) -> str:

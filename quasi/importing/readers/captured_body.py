@@ -15,7 +15,7 @@ from quasi.importing.series import Recording, Series
 from quasi.sensor_limits import runs_of
 
 LARGEST_ROOM = 150.0  # m
-LARGEST = 1e10  # mm, frames or s: beyond any room, counter and clock (as in Motive exports)
+LARGEST = 1e10  # mm, frames or s: beyond any room, counter and clock
 LENGTHS = {
     "meters": 1.0, "metres": 1.0, "m": 1.0,
     "centimeters": 0.01, "centimetres": 0.01, "cm": 0.01,

@@ -18,7 +18,7 @@ import numpy as np
 import pandas as pd
 
 from quasi.errors import ReadError, add_caution
-from quasi.importing.readers.known_topics import Known
+from quasi.importing.readers.known_topics import INSTANCE, MOTORS, PWM_RANGE, Known
 from quasi.importing.readers.signals import Signals, Topic, seconds_of
 from quasi.importing.readers.topics import low_pass_delays, topics_reader
 from quasi.tables import read_bytes
@@ -35,8 +35,6 @@ NUMBER_FORMATS = {
 TEXTS = {"n": "S4", "N": "S16", "Z": "S64", "a": "V64"}
 INSTANCES = ("I", "C", "Instance", "Inst", "Id")  # fields that number instances, in logs without FMTU
 FIRST_SERVO_FUNCTION = 33  # SERVOn_FUNCTION of motor 1 (parameter reference)
-PWM_RANGE = (1000.0, 2000.0)  # us, MOT_PWM_MIN and MOT_PWM_MAX where the log does not hold them
-MOTORS = 8
 LONGEST_LOG = 86400.0  # s from the middle of a log, beyond which a stamp is damaged
 
 _GYRO_FIELDS = {"p": ("GyrX", "rad/s"), "q": ("GyrY", "rad/s"), "r": ("GyrZ", "rad/s")}
@@ -44,21 +42,20 @@ _FORCE = {"ax": ("AccX", "m/s2"), "ay": ("AccY", "m/s2"), "az": ("AccZ", "m/s2")
 _ANGLES = {"roll": ("Roll", "deg"), "pitch": ("Pitch", "deg"), "yaw": ("Yaw", "deg")}
 _PLACE = {"x": ("PN", "m"), "y": ("PE", "m"), "z": ("PD", "m")}
 _EKF_SPEED = {"vx": ("VN", "m/s"), "vy": ("VE", "m/s"), "vz": ("VD", "m/s")}
-_INSTANCE = r"(:\d+)?"
 _FILTERS = ("XKF1", "NKF1", "EKF1")
 KNOWN = (
-    Known("body rates", f"IMU{_INSTANCE}", _GYRO_FIELDS),
+    Known("body rates", f"IMU{INSTANCE}", _GYRO_FIELDS),
     Known("body rates", r"IMU[23]", _GYRO_FIELDS),
-    Known("body rates", f"GYR{_INSTANCE}", _GYRO_FIELDS, better=1.5),
-    Known("specific force", f"IMU{_INSTANCE}", _FORCE),
+    Known("body rates", f"GYR{INSTANCE}", _GYRO_FIELDS, better=1.5),
+    Known("specific force", f"IMU{INSTANCE}", _FORCE),
     Known("specific force", r"IMU[23]", _FORCE),
-    Known("specific force", f"ACC{_INSTANCE}", _FORCE, better=1.5),
-    Known("attitude", f"ATT{_INSTANCE}", _ANGLES),
-    *(Known("position", f"{name}{_INSTANCE}", _PLACE) for name in _FILTERS),
-    *(Known("velocity", f"{name}{_INSTANCE}", _EKF_SPEED) for name in _FILTERS),
-    Known("rotor speeds", f"ESC{_INSTANCE}", {f"w{i}": (f"motor{i}_rpm", "rpm") for i in range(1, MOTORS + 1)}),
+    Known("specific force", f"ACC{INSTANCE}", _FORCE, better=1.5),
+    Known("attitude", f"ATT{INSTANCE}", _ANGLES),
+    *(Known("position", f"{name}{INSTANCE}", _PLACE) for name in _FILTERS),
+    *(Known("velocity", f"{name}{INSTANCE}", _EKF_SPEED) for name in _FILTERS),
+    Known("rotor speeds", f"ESC{INSTANCE}", {f"w{i}": (f"motor{i}_rpm", "rpm") for i in range(1, MOTORS + 1)}),
     Known("commands", "RCOU", {f"command{i}": (f"motor{i}_share", "1") for i in range(1, MOTORS + 1)}),
-    Known("battery", f"BATT?{_INSTANCE}", {"battery_voltage": ("Volt", "V"), "battery_current": ("Curr", "A")}),
+    Known("battery", f"BATT?{INSTANCE}", {"battery_voltage": ("Volt", "V"), "battery_current": ("Curr", "A")}),
     Known("battery", "CURR", {"battery_voltage": ("Volt", "V"), "battery_current": ("Curr", "A")}),
 )  # fmt: skip
 

@@ -14,6 +14,9 @@ from typing import Any
 from quasi.errors import ConfigError, ReadError, nearest
 from quasi.importing.readers.signals import Topic
 
+MOTORS = 8
+INSTANCE = r"(:\d+)?"  # at the end of a topic that a log holds several times
+PWM_RANGE = (1000.0, 2000.0)  # us, where a log does not hold the limits of its motor outputs
 LEAST_SAMPLES = 20  # of a topic, as of a table's source
 ROLE_COLUMNS = {
     "body rates": ("p", "q", "r"),

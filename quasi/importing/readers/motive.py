@@ -17,7 +17,7 @@ import pandas as pd
 from scipy.spatial.transform import Rotation
 
 from quasi.errors import ReadError, add_caution, nearest
-from quasi.importing.readers.captured_body import LENGTHS, Body, capture_reader, captured_recording
+from quasi.importing.readers.captured_body import LARGEST, LENGTHS, Body, capture_reader, captured_recording
 from quasi.importing.readers.reader import TEXT
 from quasi.importing.readers.table_text import SEPARATORS, decimal_points, from_header, through_a_spreadsheet
 from quasi.importing.series import Recording
@@ -36,7 +36,6 @@ TYPES = {
     "device",
     "camera",
 }
-LARGEST = 1e10
 QUANTITIES = {"rotation", "position", "mean marker error", "error per marker", "marker quality", "marker error"}
 
 

@@ -21,7 +21,7 @@ import numpy as np
 import pandas as pd
 
 from quasi.errors import ReadError, add_caution
-from quasi.importing.readers.known_topics import Known
+from quasi.importing.readers.known_topics import INSTANCE, MOTORS, PWM_RANGE, Known
 from quasi.importing.readers.reader import needs_extra
 from quasi.importing.readers.signals import Signals, Topic, seconds_of
 from quasi.importing.readers.topics import low_pass_delays, topics_reader
@@ -30,8 +30,6 @@ from quasi.tables import read_bytes
 MICRO = 1e-6  # s
 INVALID_RELATIVE = 0x7FFFFFFF  # accelerometer_timestamp_relative of a sample without accelerometer (message reference)
 FIRST_ACTUATOR_FUNCTION = 101  # actuator_function of motor 1 (message reference)
-PWM_RANGE = (1000.0, 2000.0)  # us, PWM_MIN and PWM_MAX of PX4 where the log does not hold them
-MOTORS = 8
 MOST_SHORT_READS = 1000  # of a whole or cut log there is one, at its end
 
 Group = tuple[str, np.ndarray, dict[str, np.ndarray]]  # name, clock in s, {field: samples}
@@ -52,29 +50,28 @@ def _odometry(topic: str) -> list[Known]:
     ]
 
 
-_INSTANCE = r"(:\d+)?"
 _XYZ_RATES = _vector("pqr", "xyz", "rad/s")
 _LOCAL_SPEED = {"vx": ("vx", "m/s"), "vy": ("vy", "m/s"), "vz": ("vz", "m/s")}
 KNOWN = (
-    Known("body rates", f"sensor_combined{_INSTANCE}", _vector("pqr", "gyro_rad", "rad/s")),
-    Known("body rates", f"vehicle_angular_velocity{_INSTANCE}", _XYZ_RATES, better=1.5),
-    Known("specific force", f"sensor_combined/accelerometer{_INSTANCE}",
+    Known("body rates", f"sensor_combined{INSTANCE}", _vector("pqr", "gyro_rad", "rad/s")),
+    Known("body rates", f"vehicle_angular_velocity{INSTANCE}", _XYZ_RATES, better=1.5),
+    Known("specific force", f"sensor_combined/accelerometer{INSTANCE}",
           _vector(("ax", "ay", "az"), "accelerometer_m_s2", "m/s2")),
-    Known("specific force", f"vehicle_acceleration{_INSTANCE}", _vector(("ax", "ay", "az"), "xyz", "m/s2"), better=1.5),
-    Known("attitude", f"vehicle_attitude{_INSTANCE}", _Q_ARRAY),
-    Known("position", f"vehicle_local_position{_INSTANCE}", {n: (n, "m") for n in "xyz"}),
-    Known("velocity", f"vehicle_local_position{_INSTANCE}", _LOCAL_SPEED),
+    Known("specific force", f"vehicle_acceleration{INSTANCE}", _vector(("ax", "ay", "az"), "xyz", "m/s2"), better=1.5),
+    Known("attitude", f"vehicle_attitude{INSTANCE}", _Q_ARRAY),
+    Known("position", f"vehicle_local_position{INSTANCE}", {n: (n, "m") for n in "xyz"}),
+    Known("velocity", f"vehicle_local_position{INSTANCE}", _LOCAL_SPEED),
     Known("rotor speeds", r"esc_status(/\d+)?(:\d+)?",
           {f"w{i}": (f"motor{i}_rpm", "rpm") for i in range(1, MOTORS + 1)}),
-    Known("commands", f"actuator_motors{_INSTANCE}",
+    Known("commands", f"actuator_motors{INSTANCE}",
           {f"command{i + 1}": (f"control[{i}]", "1") for i in range(MOTORS)}),
-    Known("commands", f"actuator_outputs{_INSTANCE}",
+    Known("commands", f"actuator_outputs{INSTANCE}",
           {f"command{i + 1}": (f"share[{i}]", "1") for i in range(MOTORS)}),
-    Known("battery", f"battery_status{_INSTANCE}",
+    Known("battery", f"battery_status{INSTANCE}",
           {"battery_voltage": ("voltage_v", "V"), "battery_current": ("current_a", "A")}),
-    *_odometry(f"vehicle_mocap_odometry{_INSTANCE}"),
-    *_odometry(f"vehicle_visual_odometry{_INSTANCE}"),
-    Known("capture", f"att_pos_mocap{_INSTANCE}", {n: (n, "m") for n in "xyz"} | _Q_ARRAY),
+    *_odometry(f"vehicle_mocap_odometry{INSTANCE}"),
+    *_odometry(f"vehicle_visual_odometry{INSTANCE}"),
+    Known("capture", f"att_pos_mocap{INSTANCE}", {n: (n, "m") for n in "xyz"} | _Q_ARRAY),
 )  # fmt: skip
 TOPICS = sorted({re.match(r"\w+", way.match)[0] for way in KNOWN})
 

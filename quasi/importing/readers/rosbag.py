@@ -21,7 +21,7 @@ import numpy as np
 import pandas as pd
 
 from quasi.errors import ReadError, add_caution, quoted
-from quasi.importing.readers.known_topics import Known
+from quasi.importing.readers.known_topics import MOTORS, Known
 from quasi.importing.readers.reader import needs_extra
 from quasi.importing.readers.signals import Signals, Topic
 from quasi.importing.readers.topics import topics_reader
@@ -33,7 +33,6 @@ BYTES = {"uint8", "int8", "byte", "char", "octet"}  # elements of images and oth
 NUMBER_TYPES = {"bool", "float32", "float64", "int16", "int32", "int64", "uint16", "uint32", "uint64", "int8", "uint8"}
 TIME_TYPES = {"builtin_interfaces/msg/Time", "builtin_interfaces/msg/Duration"}
 TYPE_NAME = r"[A-Za-z][A-Za-z0-9_]*(/[A-Za-z][A-Za-z0-9_]*)+"
-MOTORS = 8
 FIRST_MESSAGES = 100  # of a topic, in which a list that begins empty (joints before the motors start) may fill
 
 _CAPTURES = r"mocap|vrpn|vicon|optitrack|natnet|qualisys|qtm|motion_capture|ground_?truth"
@@ -279,7 +278,7 @@ def _getters(
     for name, (node, detail) in definitions[kind][1]:
         value, get = getattr(message, name, None), operator.attrgetter(name)
         if node.name == "BASE" and detail[0] in NUMBER_TYPES:
-            found[name] = _number_of(get)
+            found[name] = _chain(get, float)
         elif node.name == "NAME" and detail in TIME_TYPES:
             found[name] = _seconds_of(get)
         elif node.name == "NAME" and depth < 6:
@@ -291,19 +290,11 @@ def _getters(
             for i in range(len(value)):
                 entry = _entry(get, i)
                 if element.name == "BASE" and about[0] in NUMBER_TYPES - BYTES:
-                    found[f"{name}[{i}]"] = _number_of(entry)
+                    found[f"{name}[{i}]"] = _chain(entry, float)
                 elif element.name == "NAME" and depth < 6:
                     inner = _getters(definitions, about, value[i], empty, depth + 1)
                     found |= {f"{name}[{i}].{column}": _chain(entry, getter) for column, getter in inner.items()}
     return found
-
-
-def _number_of(get: Callable[[Any], Any]) -> Getter:
-    def number(message: Any) -> float:
-        value = get(message)
-        return np.nan if value is None else float(value)
-
-    return number
 
 
 def _entry(get: Callable[[Any], Any], index: int) -> Callable[[Any], Any]:

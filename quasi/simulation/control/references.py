@@ -16,6 +16,7 @@ from numba import njit
 from scipy.interpolate import CubicSpline
 
 from quasi.errors import ConfigError, DataError, nearest
+from quasi.model.document import is_number
 from quasi.simulation.control.outer_loop import (
     ATTITUDE_SETPOINT,
     POSITION_SETPOINT,
@@ -48,22 +49,18 @@ _FLAGS = {"do position track": "position steps", "do circle track": "circle"}
 Check = Callable[[Any], bool]
 
 
-def _is_number(value: Any) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
-
-
 def _is_place(value: Any) -> bool:
-    return isinstance(value, list | tuple) and len(value) == 3 and all(map(_is_number, value))
+    return isinstance(value, list | tuple) and len(value) == 3 and all(map(is_number, value))
 
 
-_NUMBER_CHECK: tuple[Check, str] = (_is_number, "a number")
+_NUMBER_CHECK: tuple[Check, str] = (is_number, "a number")
 _PLACE_CHECK: tuple[Check, str] = (_is_place, "three numbers, m, earth axes (z down)")
-_TIME_CHECK: tuple[Check, str] = (lambda v: _is_number(v) and v >= 0.0, "seconds, 0 or more")
-_POSITIVE_CHECK: tuple[Check, str] = (lambda v: _is_number(v) and v > 0.0, "a positive number")
-_ANGULAR_SPEED_CHECK: tuple[Check, str] = (lambda v: _is_number(v) and v != 0.0, "rad/s, not 0")
-_HEADING_CHECK: tuple[Check, str] = (lambda v: v == ALONG_PATH or _is_number(v), f"rad, or '{ALONG_PATH}'")
+_TIME_CHECK: tuple[Check, str] = (lambda v: is_number(v) and v >= 0.0, "seconds, 0 or more")
+_POSITIVE_CHECK: tuple[Check, str] = (lambda v: is_number(v) and v > 0.0, "a positive number")
+_ANGULAR_SPEED_CHECK: tuple[Check, str] = (lambda v: is_number(v) and v != 0.0, "rad/s, not 0")
+_HEADING_CHECK: tuple[Check, str] = (lambda v: v == ALONG_PATH or is_number(v), f"rad, or '{ALONG_PATH}'")
 _CENTRE_CHECK: tuple[Check, str] = (
-    lambda v: isinstance(v, list | tuple) and len(v) == 2 and all(map(_is_number, v)),
+    lambda v: isinstance(v, list | tuple) and len(v) == 2 and all(map(is_number, v)),
     "two numbers, m, north and east",
 )
 _ROWS_CHECK: tuple[Check, str] = (lambda v: isinstance(v, list | tuple) and len(v) > 0, "a list of rows")
@@ -177,7 +174,7 @@ def _make_steps_reference(setpoint: str, chosen: Mapping[str, Any]) -> tuple[int
     last = -math.inf
     for row, step in enumerate(steps):
         where = f"reference steps of {setpoint}, row {row + 1}"
-        if not (isinstance(step, list | tuple) and len(step) in (4, 5) and all(map(_is_number, step))):
+        if not (isinstance(step, list | tuple) and len(step) in (4, 5) and all(map(is_number, step))):
             raise ConfigError(
                 f"{where} is {step!r}, expected the time (s), {', '.join(names)} and, if wanted, the {fifth} ({unit})"
             )

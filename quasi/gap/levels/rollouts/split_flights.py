@@ -19,7 +19,7 @@ import numpy as np
 import pandas as pd
 
 from quasi.gap.catalogue import columns_of
-from quasi.gap.effect import Effect, Vehicle
+from quasi.gap.effect import Effect, Values, Vehicle
 from quasi.gap.extension import extend, joined
 from quasi.gap.flights.evidence import Evidence
 from quasi.gap.flights.instruments import shown
@@ -34,7 +34,6 @@ from quasi.simulation.tools.rollout import count_steps
 OWN_SCOPES = ("s", "f")
 FILTER_REACH = 0.2  # s: the filter of a flight sees that far ahead, windows start so much later
 LEAST_HALF = 5.0  # s of a half, from which a trim is estimated
-Values = Mapping[str, float]
 
 
 class Own(NamedTuple):
