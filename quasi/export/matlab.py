@@ -155,9 +155,9 @@ def drone_parameters(model: Model) -> dict[str, Any]:
     }
 
 
-def reference_rows(model: Model, u: Iterable[str] | None, rows: int = 200) -> dict[str, Any]:
+def reference_rows(model: Model, u: Iterable[str] | None) -> dict[str, Any]:
     """States, rotor speeds and what `predict` (and the differential form) gives for them, for check_model.m."""
-    at = states_of(model, rows)
+    at = states_of(model, 200)
     forces, moments = model.predict(at.state, at.speeds, at.accelerations, at.extra)
     columns = {matlab_name(name): values[:, None] for name, values in at.extra.items()}
     columns |= {f"w{i + 1}_dot": at.accelerations[:, i : i + 1] for i in range(4)}

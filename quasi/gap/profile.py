@@ -46,11 +46,11 @@ class Profile:
             w @ test.value + LIMIT_ERRORS * np.sqrt(w @ test.covariance @ w) >= least for w, least in sums
         )
 
-    def has_leading_deviation(self, test: Test, errors: float = 3.0) -> bool:
-        """Whether a leading parameter differs from neutral by `errors` standard errors.
+    def has_leading_deviation(self, test: Test) -> bool:
+        """Whether a leading parameter differs from neutral by three standard errors.
 
         Still air with a downdraught, or a centre of gravity that is off in height alone, stand in for another cause.
         """
         about = [self.leading[k] for k in test.offer.which] if self.leading else []
-        far = [abs(value) > errors * std for value, std in zip(test.value, test.std)]
+        far = [abs(value) > 3.0 * std for value, std in zip(test.value, test.std)]
         return not any(about) or any(a and f for a, f in zip(about, far))

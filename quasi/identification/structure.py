@@ -73,7 +73,6 @@ def inclusion(
     constant: bool,
     resamples: int,
     bandwidth: int,
-    seed: int = 0,
 ) -> dict[str, Any]:
     """Share of resamples in which each column is chosen.
 
@@ -88,7 +87,7 @@ def inclusion(
     unit = np.searchsorted(flights, blocks.flight) if by_flight else np.arange(len(blocks.rows))
     count = int(unit.max()) + 1
     options = replace(options, pool=options.pool or products.size - products.fixed)
-    generator = np.random.default_rng(seed)
+    generator = np.random.default_rng(0)
     chosen = np.zeros((resamples, products.size), bool)
     for row in chosen:
         weights = np.bincount(generator.integers(0, count, count), minlength=count)[unit]

@@ -56,20 +56,18 @@ def align_files(
     rigid_body: str | None = None,
     log_number: int | None = None,
     longest_lag: float = LONGEST_LAG,
-    controller: str | None = None,
 ) -> Alignment:
     """Tie the clock of a capture to that of a log.
 
     quadrotor   its configuration, needed for tables ("table columns")
     rigid_body  its name in the capture; None takes the only one
     log_number  which log of a file that holds several; longest_lag  s, between the beginnings of both records
-    controller  flight controller of the log; by default what the file holds decides
     Raises ReadError, DataError or ConfigError: a sentence that names the file and the remedy.
     """
     settings, notes = dict(quadrotor or {}), []
     flight = {
         "onboard": str(log),
-        "flight controller": controller or controller_of(log, settings),
+        "flight controller": controller_of(log, settings),
         "log number": log_number,
     }
     recording = read_onboard(flight, settings, motor_poles(settings)[0])

@@ -159,9 +159,9 @@ def find_extent(motions: Sequence[Motion]) -> tuple[np.ndarray, np.ndarray]:
     return where.min(axis=0), where.max(axis=0)
 
 
-def thin_path(motion: Motion, until: float = math.inf) -> np.ndarray:
-    """Thin the path (M, 3) up to a time to a visible density; NaN where it cannot be drawn."""
-    path = np.where(motion.drawable[:, None], motion.position, np.nan)[motion.t <= until]
+def thin_path(motion: Motion) -> np.ndarray:
+    """Thin the path (M, 3) to a visible density; NaN where it cannot be drawn."""
+    path = np.where(motion.drawable[:, None], motion.position, np.nan)
     return path[:: max(1, len(path) // MAX_DRAWN_POINTS)]
 
 

@@ -56,10 +56,10 @@ def format_number(value: object, digits: int = 3) -> str:
     return f"{value:.{digits - 1}e}".replace("-", "−")
 
 
-def format_row(values: Sequence[float], digits: int = 3) -> list[str]:
-    """Format numbers of one kind with equal decimals, so that the largest has this many significant digits."""
+def format_row(values: Sequence[float]) -> list[str]:
+    """Format numbers of one kind with equal decimals, so that the largest has three significant digits."""
     top = max((abs(v) for v in values if math.isfinite(v)), default=0.0)
-    places = min(max(digits - 1 - math.floor(math.log10(top)), 0), 9) if top > 0 else 0
+    places = min(max(2 - math.floor(math.log10(top)), 0), 9) if top > 0 else 0
     texts = (f"{v:.{places}f}" if math.isfinite(v) else "–" for v in values)
     return [t.lstrip("-") if not t.strip("-0.") else t.replace("-", "−") for t in texts]
 

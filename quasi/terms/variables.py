@@ -295,12 +295,12 @@ class Variables:
         return sum(s * v for s, v in zip(signs, values))
 
 
-def derive_unit(tree: Tree, target: str, lookup: Callable[[str], tuple] | None = None) -> str:
+def derive_unit(tree: Tree, target: str) -> str:
     """Unit of the coefficient that turns an expression into the target ("Fx" .. "Mz"), e.g. "N s2/rad2".
 
     "mixed" stands for those without one: sums of unlike quantities and for powers that vary.
     """
-    dimension = _dimension(tree, lookup or _unit_of_name)
+    dimension = _dimension(tree)
     if dimension is None:
         return "mixed"
     length, mass, time, angle, voltage = (t - d for t, d in zip(_TARGETS[target], dimension))
@@ -333,27 +333,27 @@ def _unit_of_name(name: str) -> tuple | None:
     if match:
         return _unit_of_name(match["abs"]) if match["abs"] else (0,) * 5
     if name in SYNONYMS:
-        return _dimension(SYNONYMS[name], _unit_of_name)
+        return _dimension(SYNONYMS[name])
     return _DIMENSIONS.get(name)
 
 
-def _dimension(tree: Tree, lookup: Callable[[str], tuple | None]) -> tuple | None:
+def _dimension(tree: Tree) -> tuple | None:
     kind = tree[0]
     if kind == "number":
         return (0,) * 5
     if kind == "name":
-        return lookup(tree[1])
+        return _unit_of_name(tree[1])
     if kind == "negative":
-        return _dimension(tree[1], lookup)
+        return _dimension(tree[1])
     if kind == "power":
-        base = _dimension(tree[1], lookup)
+        base = _dimension(tree[1])
         power = tree[2]
         sign = -1.0 if power[0] == "negative" else 1.0
         power = power[1] if power[0] == "negative" else power
         if base is None or power[0] != "number":
             return base if base == (0,) * 5 else None
         return tuple(b * sign * power[1] for b in base)
-    parts = [(sign, _dimension(part, lookup)) for sign, part in tree[1]]
+    parts = [(sign, _dimension(part)) for sign, part in tree[1]]
     if any(d is None for _, d in parts):
         return None
     if kind == "sum":

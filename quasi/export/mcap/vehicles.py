@@ -65,14 +65,14 @@ def step_of(t: np.ndarray) -> int:
     return max(round(1.0 / (float(np.median(np.diff(t))) * MOST_RATE)), 1) if len(t) > 1 else 1
 
 
-def reference_of(table: pd.DataFrame, color: tuple[float, float, float] = PATH_BEFORE) -> Vehicle | None:
+def reference_of(table: pd.DataFrame) -> Vehicle | None:
     """The reference of a simulation as a vehicle that is upright where no attitude is asked; None without a place."""
     if not all(f"{n}_ref" in table for n in PLACE):
         return None
     wanted = pd.DataFrame({"t": table["t"], **{n: table[f"{n}_ref"] for n in PLACE}})
     for n in EULER_ANGLES:
         wanted[n] = table[f"{n}_ref"].fillna(0.0) if f"{n}_ref" in table else 0.0
-    return vehicle_of("reference", wanted, color) if np.isfinite(wanted["x"]).any() else None
+    return vehicle_of("reference", wanted, PATH_BEFORE) if np.isfinite(wanted["x"]).any() else None
 
 
 def with_residuals(vehicle: Vehicle, model: Model, flight: pd.DataFrame, mass: float | None = None) -> Vehicle:

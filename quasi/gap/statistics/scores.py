@@ -31,16 +31,14 @@ def within(score: Score, blocks: np.ndarray) -> Score:
     return Score(score.values[blocks], score.weight[blocks])
 
 
-def fraction(
-    old: Score, new: Score, floor: np.ndarray | None = None, seed: int = 0
-) -> dict[str, dict[str, float | None]]:
+def fraction(old: Score, new: Score, floor: np.ndarray | None = None) -> dict[str, dict[str, float | None]]:
     """Share of the removable squared error that is gone, per axis, with its interval over resampled blocks.
 
     floor (6,) mean squared noise; the share is None where the floor holds 90 % of the old error. The floor is not drawn
     with the errors, which makes the interval cautious: what decides whether a cause matters asks for it. A reported
     gain has the interval of `removed`.
     """
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(0)
     noise = np.zeros(old.values.shape[1]) if floor is None else floor
     draws = []
     for _ in range(SCORE_DRAWS):
@@ -59,12 +57,12 @@ def fraction(
     return result
 
 
-def surely(old: Score, new: Score, removable: np.ndarray, seed: int = 0) -> np.ndarray:
+def surely(old: Score, new: Score, removable: np.ndarray) -> np.ndarray:
     """Lower ends (6,) of the intervals of the squared error that is gone, as shares of what is removable.
 
     removable (6,) mean square, held: blocks in which there is little to remove say little, whatever their share is
     """
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(0)
     picks = rng.integers(0, len(old.weight), (SCORE_DRAWS, len(old.weight)))
     weight = old.weight[picks]
     gone = np.einsum("db,dbc->dc", weight, (old.values - new.values)[picks]) / weight.sum(axis=1)[:, None]

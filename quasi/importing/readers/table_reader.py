@@ -35,9 +35,7 @@ LONGEST_STEP = 0.12  # s between body rates, beyond any motion's; seconds in pla
 ARRAYS = ("mat5", "npz")  # kinds of files whose variables are columns
 
 
-def read_table_log(
-    path: str | Path, mapping: Mapping[str, Any], poles: int | None = None, where: str = "table columns"
-) -> Recording:
+def read_table_log(path: str | Path, mapping: Mapping[str, Any], poles: int | None = None) -> Recording:
     """Read a table by a mapping (see `table_mapping`).
 
     path     CSV or Parquet file; mapping  the section "table columns"; poles  magnets of a motor, for electrical speeds
@@ -47,7 +45,7 @@ def read_table_log(
     """
     path = Path(path)
     notes: list[str] = []
-    plan = read_mapping(mapping, poles or DEFAULT_POLES, where)
+    plan = read_mapping(mapping, poles or DEFAULT_POLES, "table columns")
     signals = open_signals(path, plan, notes)
     electrical = "eRPM" in str(mapping)
     return read_signals(path, signals, plan, poles, electrical, notes)

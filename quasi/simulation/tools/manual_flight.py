@@ -19,6 +19,7 @@ from quasi.simulation.tools.keyboard import HeldKeys
 MAX_SIMULATED_TIME = (
     0.1  # s of simulation between two pictures at most; a slow computer then simulates slower than real time
 )
+MAX_PICTURE_RATE = 40.0  # per second
 MANUAL_HELP = "w a s d fly, arrows height and heading, m mode, space halt, r again, q end"
 
 
@@ -41,9 +42,9 @@ class Handling:
 class Pilot:
     """Converts held keys to setpoints. weight N; yaw rad, the initial heading."""
 
-    def __init__(self, weight: float, yaw: float = 0.0, handling: Handling | None = None) -> None:
+    def __init__(self, weight: float, yaw: float = 0.0) -> None:
         self.weight, self.yaw = weight, yaw
-        self.handling = handling or Handling()
+        self.handling = Handling()
         self.kind = VELOCITY_SETPOINT
         self._commanded = np.zeros(3)  # forward, right, up: m/s, or rad and a share with an attitude reference
 
@@ -154,16 +155,14 @@ def fly_manually(
     flight: Flight,
     view: View,
     keys: Keys | None = None,
-    handling: Handling | None = None,
     clock: Callable[[], float] = time.perf_counter,
     wait: Callable[[float], None] = time.sleep,
-    rate: float = 40.0,
 ) -> str:
     """Fly until q is pressed or the window closes; return a sentence about the flight.
 
-    keys  of a terminal, None for those of the window only; rate  maximum pictures per second; clock s; wait  waits s
+    keys  of a terminal, None for those of the window only; clock s; wait  waits s
     """
-    held_keys, pilot = HeldKeys(), Pilot(flight.weight, _yaw(flight.state()), handling)
+    held_keys, pilot = HeldKeys(), Pilot(flight.weight, _yaw(flight.state()))
     pace, ended = Pace(flight.dt, clock()), None
     farthest = fastest = 0.0
     start = flight.state()[10:13].copy()
@@ -183,7 +182,7 @@ def fly_manually(
             elif key == "r":
                 flight.restart()
                 held_keys.clear()
-                pilot, ended = Pilot(flight.weight, _yaw(flight.state()), handling), None
+                pilot, ended = Pilot(flight.weight, _yaw(flight.state())), None
         steps = pace.count_due_steps(now)
         if steps and ended is None:
             ended = flight.advance(pilot.setpoint(held_keys.list_held_keys(now), steps * flight.dt), steps)
@@ -192,7 +191,7 @@ def fly_manually(
                 farthest = max(farthest, float(np.linalg.norm(state[10:13] - start)))
                 fastest = max(fastest, float(np.linalg.norm(state[4:7])))
         view.show(flight.t, flight.state(), describe_flight(flight.state(), pilot, pace, ended))
-        wait(max(1.0 / rate - (clock() - now), 0.0))
+        wait(max(1.0 / MAX_PICTURE_RATE - (clock() - now), 0.0))
     return f"flew {flight.t:.1f} s, up to {farthest:.1f} m away and {fastest:.1f} m/s fast"
 
 

@@ -30,7 +30,7 @@ from quasi.simulation.vehicle.sensors_and_wind import GUST_DEVIATION, STEADY_WIN
 from quasi.simulation.vehicle.variants import list_part_names, read_payload_and_inflow
 
 
-def portable_setup(model: Model, time_step: float = 0.004) -> Setup:
+def portable_setup(model: Model) -> Setup:
     """Set up the closed loop that is exported with a model: INDI with default gains and the rotors of the model.
 
     Raises ConfigError or DataError, as `make_setup` does, for a model that cannot be flown. The message names
@@ -38,7 +38,7 @@ def portable_setup(model: Model, time_step: float = 0.004) -> Setup:
     """
     settings = {
         "model": {"model ID": model.id},
-        "simulation": {"time step": time_step},
+        "simulation": {"time step": 0.004},
         "controller": {"controller": "drone_INDI"},
         "noise": {"add": False},
     }

@@ -11,7 +11,7 @@ import numpy as np
 
 from quasi.simulation.control.outer_loop import POSITION_SETPOINT
 from quasi.simulation.tools.keyboard import HeldKeys
-from quasi.simulation.tools.manual_flight import Flight, Keys, Pace, View
+from quasi.simulation.tools.manual_flight import MAX_PICTURE_RATE, Flight, Keys, Pace, View
 
 REFERENCE_HELP = "space pauses, r starts again, q ends"
 MAX_REFERENCE_POINTS = 2000  # of a reference's path; more are not visible
@@ -23,11 +23,10 @@ def show_reference_flight(
     keys: Keys | None = None,
     clock: Callable[[], float] = time.perf_counter,
     wait: Callable[[float], None] = time.sleep,
-    rate: float = 40.0,
 ) -> str:
     """Show a simulation until q is pressed or the window closes; return a sentence about the flight.
 
-    keys  of a terminal, None for those of the window only; rate  maximum pictures per second; clock s; wait  waits s
+    keys  of a terminal, None for those of the window only; clock s; wait  waits s
     """
     pace, held_keys, ended, paused = Pace(flight.dt, clock()), HeldKeys(), None, False
     errors: list[float] = []
@@ -51,7 +50,7 @@ def show_reference_flight(
         if error is not None and steps > 0 and not paused:
             errors.append(error)
         view.show(flight.t, flight.state(), describe_flight(flight, pace, ended, paused, error), target)
-        wait(max(1.0 / rate - (clock() - now), 0.0))
+        wait(max(1.0 / MAX_PICTURE_RATE - (clock() - now), 0.0))
     text = f"flew {flight.t:.1f} s of {flight.duration:.1f} s"
     if errors:
         text += f", position error {np.sqrt(np.mean(np.square(errors))):.2f} m rms, {max(errors):.2f} m at most"

@@ -54,23 +54,23 @@ Values = dict[str, float]
 Windows = list[tuple[Course, np.ndarray]]
 
 
-def windows_of(study: Design, tables: Mapping[str, pd.DataFrame], window: float = WINDOW) -> Windows:
+def windows_of(study: Design, tables: Mapping[str, pd.DataFrame]) -> Windows:
     """Windows one after another of a study's flights, and what each of its columns makes of them (S, D, P - 1).
 
     tables  {key: filtered flight}
     """
     result = []
     for evidence, part in zip(study.flights, study.thinned):
-        course = windows_in(evidence, tables[evidence.key], part, window)
+        course = windows_in(evidence, tables[evidence.key], part)
         result.append((course, sensitivities(course, part.columns[:, :, 1:])))
     return result
 
 
-def windows_in(evidence: Evidence, table: pd.DataFrame, thinned: Thinned, window: float = WINDOW) -> Course:
+def windows_in(evidence: Evidence, table: pd.DataFrame, thinned: Thinned) -> Course:
     """Windows one after another through a flight, starting at the rows of its thinned columns."""
-    times = window * np.arange(1, COMPARED_TIMES + 1) / COMPARED_TIMES
+    times = WINDOW * np.arange(1, COMPARED_TIMES + 1) / COMPARED_TIMES
     flight = flight_of(evidence.key, table, evidence.mass, evidence.inertia)
-    return course_of(evidence, flight, times, window, thinned.rows, thinned.breaks)
+    return course_of(evidence, flight, times, WINDOW, thinned.rows, thinned.breaks)
 
 
 def sensitivities(course: Course, columns: np.ndarray) -> np.ndarray:
