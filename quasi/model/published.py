@@ -93,7 +93,7 @@ def read_published(path: str | Path, name: str | None = None, poles: int | None 
             "the yaw moment increases with the speed of clockwise rotors, although rotor drag turns the body the other "
             "way: seen from above, the rotors probably turn against their stated direction"
         )
-    hover = _number(drone, "wHover (rad/s)", f"{where}, 'droneParams'", None)
+    hover = _number(drone, "wHover (rad/s)", f"{where}, 'droneParams'")
     shared = {
         "gravity": "withGravity" if about["hasGravity"] else "noGravity",
         "hover speed": {"value": None if hover is None else hover * 200.0 / poles, "unit": "rad/s"},
@@ -281,7 +281,7 @@ def _simple_model(drone: Mapping[str, Any], factor: float, where: str) -> dict[s
     result = {}
     for axis in ("Fz", "Mx", "My", "Mz"):
         for ending, power, suffix in (("_w_2", 2, ""), ("_w", 1, "_w")):
-            value = _number(found, f"kappa{axis}{ending}", f"{where}, 'simpleModel'", None)
+            value = _number(found, f"kappa{axis}{ending}", f"{where}, 'simpleModel'")
             if value is not None:
                 unit = ("N" if axis == "Fz" else "N m") + (" s2/rad2" if power == 2 else " s/rad")
                 result[f"kappa{axis}{suffix}"] = {"value": value * factor**power, "std": None, "unit": unit}
@@ -292,7 +292,7 @@ def _actuators(drone: Mapping[str, Any], where: str) -> dict[str, Any] | None:
     taus = drone.get("taus")
     if not isinstance(taus, Mapping) or not all(w in taus for w in _ROTORS):
         return None
-    values = [_number(taus, w, f"{where}, 'taus'", None) for w in _ROTORS]
+    values = [_number(taus, w, f"{where}, 'taus'") for w in _ROTORS]
     if not all(v is not None and v > 0 for v in values):
         raise ConfigError(f"{where}, 'taus': expected four positive times in s, found {values}")
     return {"time constants": {"value": values, "unit": "s"}}
@@ -305,8 +305,8 @@ def _section(document: Mapping[str, Any], key: str, where: str) -> Mapping[str, 
     return value
 
 
-def _number(section: Any, key: str, where: str, default: float | None) -> float | None:
-    value = section.get(key, default) if isinstance(section, Mapping) else default
+def _number(section: Any, key: str, where: str) -> float | None:
+    value = section.get(key) if isinstance(section, Mapping) else None
     if value is None:
         return None
     if not is_number(value):

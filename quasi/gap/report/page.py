@@ -160,8 +160,8 @@ def _rules(diagnosis: Mapping[str, Any]) -> str:
     )
 
 
-def _value(diagnosis: Mapping[str, Any], key: str, level: str, channel: str, horizon: str = "0") -> float | None:
-    return diagnosis["gap"][key].get(level, {}).get(channel, {}).get(horizon)
+def _value(diagnosis: Mapping[str, Any], key: str, level: str, channel: str) -> float | None:
+    return diagnosis["gap"][key].get(level, {}).get(channel, {}).get("0")
 
 
 def _forces(diagnosis: Mapping[str, Any]) -> str:

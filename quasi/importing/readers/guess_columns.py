@@ -134,14 +134,14 @@ def _plain(name: str) -> str:
     return re.sub(r"[^a-z0-9\[\]]+", "_", name.lower()).strip("_")
 
 
-def _columns(table: pd.DataFrame, patterns: tuple[str, ...], count: int, avoid: str = DEMANDS) -> list[str] | None:
+def _columns(table: pd.DataFrame, patterns: tuple[str, ...], count: int) -> list[str] | None:
     """The columns of a vector in the order of its axes, from the first pattern that finds all `count` of them."""
     for pattern in patterns:
         stems: dict[str, dict[int, str]] = {}
         for name in map(str, table.columns):
             plain = _plain(name)
             found = re.fullmatch(pattern, plain)
-            if found and not re.search(avoid, plain) and _is_number(table[name]):
+            if found and not re.search(DEMANDS, plain) and _is_number(table[name]):
                 axis = found["axis"]
                 place = AXIS_NUMBERS[axis] if axis in AXIS_NUMBERS and count < 5 else int(axis)
                 stem = plain[: found.start("axis")] + "*" + plain[found.end("axis") :]
