@@ -72,8 +72,9 @@ def test_one_rotor_acts_by_the_model_s_slope_in_every_row_not_by_that_in_hover()
 
 
 def test_differences_of_thrust_in_the_yaw_moment_are_those_that_act_and_the_shaft_s_moment_stays():
-    shaft = {"u_r*d_w_tot": 1e-11, "r": -1e-5, "w_tot*r": -1e-9}
-    thrust = {"q*U_p": 4e-10, "p*U_q": -3e-10, "|v|*U_p": 2e-10}
+    # differences next to a velocity are of the drag at the hubs
+    shaft = {"u_r*d_w_tot": 1e-11, "r": -1e-5, "w_tot*r": -1e-9, "|v|*U_p": 2e-10}
+    thrust = {"q*U_p": 4e-10, "p*U_q": -3e-10, "|p|*U_p": 2e-10}
     whole, rest = (simple_model(AIRFRAME, THRUST, TORQUE, Mz={**shaft, **more}) for more in (thrust, {}))
     rng = np.random.default_rng(4)
     columns = {name: rng.standard_normal(300) for name in (*"uvwpqr", "roll", "pitch")}
