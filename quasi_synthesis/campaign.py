@@ -273,8 +273,7 @@ def _metadata(
 ) -> dict[str, Any]:
     """What is true of the flight, as plain data."""
     p, d, s = setup.vehicle.physics, setup.vehicle.drive, setup.inertial
-    healthy = made.hover_factors(p)
-    gain = float(np.mean(p.thrust_gain))
+    hover = made.hover_factors(p, float(np.mean(p.thrust_gain)))
     rate = 1.0 + setup.clock_rate
     return {
         "schema": "quasi.truth/1",
@@ -288,8 +287,7 @@ def _metadata(
         "drive": d._asdict(),
         "cg offset": setup.vehicle.cg_offset,
         "hover factors": {
-            "thrust": healthy["thrust"] * gain,
-            "torque": healthy["torque"],
+            **hover,
             "thrust unit": "N s2",
             "torque unit": "N m s2",
         },

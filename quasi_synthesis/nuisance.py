@@ -150,8 +150,8 @@ def _in_session(
 def air(seconds: float, rate: float, gust: float, rng: np.random.Generator) -> np.ndarray:
     """Air table (n, 7): gust north, east, down in m/s and four unit buffets of the vortex ring.
 
-    Gusts have Dryden's forms: first order along the horizontal axes (correlation time 0.9 s), second order, shorter and
-    weaker in the vertical; buffets are first order with 12 ms. Source: MIL-F-8785C, section 3.7.2.
+    Gusts are of first order, as Dryden's along the flow: correlation time 0.9 s, in the vertical shorter and weaker.
+    Buffets are of first order with 12 ms. Source: MIL-F-8785C, section 3.7.2.
     """
     n = math.ceil(seconds * rate) + 2
     table = np.empty((n, 7))

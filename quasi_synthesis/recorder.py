@@ -68,7 +68,8 @@ def record(
         start = float(rng.uniform(REST_BEFORE + 4.0, max(t[-1] - 2.0, REST_BEFORE + 4.5)))
         a, b = row_at(start), row_at(start + float(rng.uniform(0.05, 0.4)))
         keep[a:b] = False
-        lost.append([float(t[a]), float(t[min(b, n - 1)])])
+        # by the log's own clock, as every time of it
+        lost.append([(1.0 + setup.clock_rate) * float(t[row]) for row in (a, min(b, n - 1))])
     # a frame of another kind that was due inside a gap comes with the first row after it
     position = np.cumsum(keep) - keep
     others = [(int(position[row]) if row < n else int(keep.sum()), data) for row, data in others]

@@ -138,18 +138,19 @@ def base_vehicle() -> Vehicle:
     return Vehicle()
 
 
-def hover_factors(physics: Physics) -> dict[str, float]:
-    """Thrust and torque of one healthy hovering rotor over its speed squared: dT/d(W2), N s2, and dQ/d(W2), N m s2.
+def hover_factors(physics: Physics, gain: float = 1.0) -> dict[str, float]:
+    """Thrust and torque of one hovering rotor over its speed squared: dT/d(W2), N s2, and dQ/d(W2), N m s2.
 
+    gain  of its thrust, 1 for a healthy one: induced power falls with the thrust, profile power stays
     In hover every speed in blade-element momentum theory is in proportion to W, so both are exactly ~ W2.
     """
     area = math.pi * physics.radius**2
-    # T = gain W (top W - v)
-    gain = 0.25 * physics.density * physics.lift_slope * physics.solidity * area * physics.radius
+    # T = slope W (top W - v)
+    slope = 0.25 * physics.density * physics.lift_slope * physics.solidity * area * physics.radius
     top = 2.0 / 3.0 * physics.pitch * physics.radius
-    # v = x W: 2 rho A x2 = gain (top - x)
+    # v = x W: 2 rho A x2 = slope (top - x)
     a = 2.0 * physics.density * area
-    x = (-gain + math.sqrt(gain**2 + 4.0 * a * gain * top)) / (2.0 * a)
+    x = (-slope + math.sqrt(slope**2 + 4.0 * a * slope * top)) / (2.0 * a)
     thrust = a * x**2
     profile = 0.125 * physics.density * physics.solidity * physics.profile_drag * area * physics.radius**3
-    return {"thrust": thrust, "torque": profile + physics.induced_factor * thrust * x}
+    return {"thrust": gain * thrust, "torque": profile + gain * physics.induced_factor * thrust * x}

@@ -7,9 +7,9 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from quasi.airframe import read_airframe
 from quasi.errors import ConfigError, DataError
 from quasi.pages.animation import animate, can_write_mp4
-from quasi.pages.drawing import make_motion, trajectories
+from quasi.pages.drawing import make_flown_motion, select_flown_rows, trajectories
 from quasi.running.job_log import LOG, job, show_progress
-from quasi.tables import read_table, replace_file
+from quasi.tables import read_made, read_table, replace_file
 
 
 def main(flights: list[str], settings: dict, folder: str) -> None:
@@ -20,13 +20,12 @@ def main(flights: list[str], settings: dict, folder: str) -> None:
     target = Path(folder)
     target.mkdir(parents=True, exist_ok=True)
     for path in show_progress(flights, "drawing"):
-        key, flight = Path(path).stem, read_table(path)
-        flying = flight[flight["in_flight"] > 0.5] if "in_flight" in flight else flight
+        key = Path(path).stem
         try:
-            motion = make_motion(flying, airframe, key)
+            motion = make_flown_motion(select_flown_rows(read_table(path)), read_made(path), airframe, key)
             figure = trajectories([motion], stills=settings["stills"], title=key)
         except DataError as error:
-            LOG.warning("flight %s has no trajectory: %s", key, error)
+            LOG.warning("%s", error)
             continue
         with replace_file(target / f"{key}.png") as part:
             FigureCanvasAgg(figure).print_png(part)

@@ -37,6 +37,13 @@ def test_a_picture_per_flight_and_a_warning_without_position(main, flights, tmp_
     assert "flight b has no trajectory" in caplog.text
 
 
+def test_an_integrated_position_is_not_drawn(main, tmp_path, caplog):
+    used = {"velocity": {"source": "none"}, "position": {"source": "none"}}
+    write_table(tmp_path / "drifts.parquet", flight(0, rows=1000), made={"noise": {"measurements": used}})
+    main([str(tmp_path / "drifts.parquet")], SETTINGS, str(tmp_path / "out"))
+    assert not list((tmp_path / "out").iterdir()) and "the integrated accelerometer drifts" in caplog.text
+
+
 def test_an_animation_only_when_the_configuration_asks(main, flights, tmp_path):
     main(flights[:1], {**SETTINGS, "animate": True}, str(tmp_path / "out"))
     made = {p.suffix: p.stat().st_size for p in (tmp_path / "out").iterdir()}
