@@ -89,7 +89,7 @@ def recorded_twice(rows: Mapping[str, list[str]]) -> tuple[str, str] | None:
     often = Counter(sizes.values())
     # files of unlike sizes differ: only the others are read
     contents = {
-        row: _content(path, number) if sizes[path] and often[sizes[path]] > 1 else (path, number, path)
+        row: _content(path, number) if sizes[path] and often[sizes[path]] > 1 else (path, _plain(number), path)
         for row, (path, number) in rows.items()
     }
     groups, order = defaultdict(list), {row: number for number, row in enumerate(contents)}
@@ -130,7 +130,12 @@ def _size(path: str) -> int:
 
 
 def _content(path: str, number: str) -> tuple[str, str, str]:
-    return sha256_of(path), number, path
+    return sha256_of(path), _plain(number), path
+
+
+def _plain(number: str) -> str:
+    """The number of a log without leading zeros; what is no number as it stands."""
+    return number.lstrip("0") or number
 
 
 def _alike(one: tuple[str, ...], other: tuple[str, ...]) -> bool:

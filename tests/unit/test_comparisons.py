@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from quasi.errors import ConfigError, LogbookError, QuasiError
-from quasi.project.same_recordings import refuse_trained, same_recordings, unchecked
+from quasi.project.same_recordings import recorded_twice, refuse_trained, same_recordings, unchecked
 from quasi.project.workflow import Folder
 from quasi.tables import list_recordings, list_telemetry_corrections, sha256_of
 
@@ -200,6 +200,10 @@ def test_a_recording_that_trained_is_known_by_its_content_whatever_its_name(tmp_
     assert same_recordings({"row 4": at["b"]}, {"row 2": at["a"]}) is None
     # another log of the same file is another flight
     assert same_recordings({"row 4": [at["a"][0], "2"]}, {"row 2": [at["a"][0], "1"]}) is None
+    # the same number, written in two ways
+    for path in (at["a"][0], str(tmp_path / "absent")):
+        assert recorded_twice({"row 2": [path, "1"], "row 4": [path, "01"]}) == ("row 2", "row 4")
+    assert same_recordings({"row 4": [at["copy"][0], "02"]}, {"row 2": [at["a"][0], "2"]}) == ("row 4", "row 2")
 
 
 def put_there(tmp_path, **changes):
