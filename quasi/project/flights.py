@@ -75,7 +75,8 @@ class Recordings:
         controller = self.controller(row)
         suffixes = CONTROLLERS.get(controller, CONTROLLERS["betaflight"])
         onboard, problem = self._find(row, "OB Path", "Onboard Name", suffixes)
-        capture = None
+        at, capture = f"{row.logbook} row {row.number}, flight {row.key}", None
+        problem = problem and f"{at}: {problem}"
         if row.has("Has OT data"):
             if not row.cells.get("Raw OptiTrack Name"):
                 problem = problem or (
@@ -84,7 +85,7 @@ class Recordings:
                 )
             else:
                 capture, missing = self._find(row, "Raw OT Path", "Raw OptiTrack Name", CAPTURE_SUFFIXES)
-                problem = problem or missing
+                problem = problem or (missing and f"{at}: {missing}")
         return {"onboard": onboard, "capture": capture, "problem": row.problem or problem}
 
     def controller(self, row: Row) -> str:
@@ -115,15 +116,19 @@ class Recordings:
         except LogbookError as error:
             return None, str(error)
         if row.has("Has OJF data") and row.cells.get("OJF name"):
+            # no row number: a moved row would import the flight anew although a static wind stands in
             wind["file"], wind["file problem"] = self._find(row, "OJF path", "OJF name", WIND_SUFFIXES)
+            if wind["file problem"] and static is None:
+                return wind, f"{row.logbook} row {row.number}, flight {row.key}: {wind['file problem']}"
         elif static is None:
             return None, (
                 f"{row.logbook} row {row.number}: 'Has OJF data' is yes, but neither 'OJF name' nor "
                 "'Static wind (m/s)' is given; fill in one"
             )
-        return wind, wind["file problem"] if static is None else None
+        return wind, None
 
     def _find(self, row: Row, folder: str, name: str, suffixes: tuple[str, ...]) -> tuple[str | None, str | None]:
+        """Path of a raw file, or None and what is wrong, which names neither logbook nor row."""
         base = self.places.place(row.cells.get(folder, "")) / row.cells[name]
         if base.suffix in suffixes:
             candidates = [base]
@@ -135,7 +140,7 @@ class Recordings:
                 return str(path), None
         if inside := self._files_in(base):
             return None, (
-                f"{row.logbook} row {row.number}, flight {row.key}: {base} is a folder; write '{row.cells[name]}' into "
+                f"{base} is a folder; write '{row.cells[name]}' into "
                 f"'{folder}' of the logbook and one file of it into '{name}': {', '.join(inside[:3])}"
             )
         expected = str(candidates[0]) if len(candidates) == 1 else f"{base}[{'|'.join(dict.fromkeys(suffixes))}]"
@@ -146,7 +151,7 @@ class Recordings:
             if near
             else f"correct '{name}' or '{folder}' in the logbook, or copy the file there{self._data_hint(base)}"
         )
-        return None, f"{row.logbook} row {row.number}, flight {row.key}: raw file {expected} does not exist; {remedy}"
+        return None, f"raw file {expected} does not exist; {remedy}"
 
     def _files_in(self, folder: Path) -> list[str]:
         """The names of the bag files in a folder that was named in place of one."""

@@ -353,3 +353,17 @@ def test_static_wind_needs_no_record(tmp_path, cells):
     settings = project(tmp_path, **cells, **{"Static wind (m/s)": "5.5"})
     assert settings["problem"] is None
     assert settings["flight"]["wind"]["static"] == 5.5
+
+
+def test_a_moved_row_changes_nothing_where_a_static_wind_stands_in(tmp_path):
+    before = project(tmp_path, **{"Has OJF data": "Y", "OJF name": "tunel", "Static wind (m/s)": "5.5"})
+    assert before["flight"]["wind"]["file problem"].startswith("raw file raw/tunel[")
+    log = tmp_path / "data/log.csv"
+    header, row = log.read_text().splitlines()
+    log.write_text(f"{header}\n{',' * header.count(',')}\n{row}\n")
+    assert Folder(tmp_path).recordings.importing("Q", "f1") == before
+
+
+def test_an_absent_wind_record_without_static_wind_names_row_and_flight(tmp_path):
+    problem = project(tmp_path, **{"Has OJF data": "Y", "OJF name": "tunel"})["problem"]
+    assert problem.partition("log.csv ")[2].startswith("row 2, flight f1: raw file raw/tunel[")
