@@ -43,8 +43,9 @@ rule importing:
         settings=lambda wildcards: ask(
             FOLDER.recordings.importing, wildcards.quadrotor, wildcards.flight
         ),
-        # the path alone: the job reads the row, so that a changed comment or a moved row makes nothing stale
-        logbook=lambda wildcards: (
+        # the path alone: the job reads the row, so that a changed comment or a moved row makes nothing stale; nor does
+        # a renamed logbook, for Snakemake compares no parameter that is asked with the input
+        logbook=lambda wildcards, input: (
             ask(FOLDER.logbooks.row, wildcards.quadrotor, wildcards.flight).logbook
         ),
         contents=lambda wildcards: contents(raw_files(wildcards)),

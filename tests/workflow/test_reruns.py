@@ -88,6 +88,13 @@ def test_changed_comment_and_appended_row_rerun_nothing(project):
     assert project.would_run() == {}
 
 
+def test_a_renamed_logbook_reruns_nothing(project):
+    (project.folder / "data/small_file_log.csv").rename(project.folder / "data/renamed.csv")
+    for path in ("config/processing.json", "config/models/small.json"):
+        project.edit_json(path, lambda c: c["logging file"].update(filename="renamed"))
+    assert project.would_run() == {}
+
+
 def test_import_keeps_logbook_row_and_cells(finished):
     project = finished[0]
     about = json.loads((project.folder / "results/imported/MadeBeetle/small-1.json").read_text())["logbook"]
