@@ -316,6 +316,12 @@ def inspected_files(wildcards):
     return list(files)
 
 
+def row_names(wildcards, input):
+    """Rows of all flights, for messages. Snakemake compares no parameter that is asked with the input, so that a moved
+    row or a renamed logbook makes nothing stale."""
+    return ask(FOLDER.logbooks.row_names)
+
+
 def inspection_share(wildcards, input):
     """All jobs on flights that may run at once (profiles/default); none where flights are still to be made: these jobs
     would keep the inspection waiting."""

@@ -41,6 +41,7 @@ rule gap_calibration:
     params:
         asked=lambda w: ask(FOLDER.gap, w.gap),
         settings=lambda w: learning_settings(w.gap),
+        names=row_names,
         contents=lambda w: contents(
             [*own_effects(w), gap_model(w), *gap_recordings(w), *learning_files(w)]
         ),

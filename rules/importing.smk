@@ -21,6 +21,7 @@ rule inspection:
         flights=inspection_share,
     params:
         asked=lambda w: ask(FOLDER.inspection, w.kind, w.asked),
+        names=row_names,
         contents=lambda w: contents(inspected_files(w)),
         code=code("inspection.py"),
     script:

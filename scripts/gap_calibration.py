@@ -18,32 +18,25 @@ from quasi.gap.levels.sensors_and_drive import examine, units_of
 from quasi.importing.flight import import_flight
 from quasi.model.commands import map_of
 from quasi.model.model import read_model
-from quasi.project.same_recordings import recorded_twice, refuse_trained, same_recordings
+from quasi.project.same_recordings import refuse_trained, repeated_recordings
 from quasi.running.job_log import LOG, job, show_progress
 from quasi.tables import read_json, read_table, write_json, write_table
 
 
-def main(source: dict, asked: dict, settings: dict, output: dict[str, str]) -> None:
-    """Read the flights that may choose and fit; write what sensors and drive found, and their tables."""
+def main(source: dict, asked: dict, settings: dict, names: dict[str, str], output: dict[str, str]) -> None:
+    """Read the flights that may choose and fit; write what sensors and drive found, and their tables.
+
+    names  {"quadrotor/flight": its row}, for messages
+    """
     if asked["problem"]:
         raise ConfigError(asked["problem"])
-    twice = same_recordings(asked["held"], asked["trained"])
-    if twice:
-        raise ConfigError(
-            f"{asked['file']}: held-out {twice[0]} has the recording of {twice[1]}, which trained model "
-            f"{asked['settings']['model']}; hold out a flight that the model has never seen"
-        )
-    twice = recorded_twice(asked["recordings"])
-    if twice:
-        raise ConfigError(
-            f"{asked['file']}: {twice[0]} and {twice[1]} have the same recording, but each flight counts once and has "
-            "one role; leave one out, or give each its own 'Log number' if the file holds several logs"
-        )
+    if repeated := repeated_recordings({**asked, "name": asked["file"]}, names):
+        raise ConfigError(repeated[0])
     effects = chosen(asked["settings"]["effects"], catalogue(asked["effect files"]), asked["file"])
     model, flights = read_model(source["model"]), []
-    refuse_trained(asked, model.document)
-    names = ("imported", "imported_metadata", "filtered", "filtered_metadata")
-    for paths in show_progress(list(zip(*(source[n] for n in names), strict=True)), "reading flights"):
+    refuse_trained(asked, model.document, names)
+    kinds = ("imported", "imported_metadata", "filtered", "filtered_metadata")
+    for paths in show_progress(list(zip(*(source[kind] for kind in kinds), strict=True)), "reading flights"):
         key = Path(paths[0]).stem
         airframe = read_airframe(asked["quadrotor"], asked["quadrotor"]["file"], asked["masses"][key])
         refuse_another_vehicle(f"{asked['file']}: flight {key}", airframe, model)
@@ -97,5 +90,6 @@ if __name__ == "__main__":
             dict(snakemake.input.items()),
             snakemake.params.asked,
             snakemake.params.settings,
+            snakemake.params.names,
             dict(snakemake.output.items()),
         )

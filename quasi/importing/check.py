@@ -32,6 +32,7 @@ def check_folder(directory: Path, library: Path, data: str | None = None) -> tup
         for name, work in asked.items():
             made = all(Path(path).is_file() for path, _ in work.get("trained", {}).values())
             ready = made and not pending & set(work["flights"])
-            refused[name] = refusals(work, found) + repeated_recordings(work) if ready else []
+            repeated = repeated_recordings(work, folder.logbooks.row_names()) if ready else []
+            refused[name] = refusals(work, found) + repeated if ready else []
     broken = any(refused.values()) or any(about["problem"] for about in found.values())
     return report(found, refused, pending, untouched), int(broken)

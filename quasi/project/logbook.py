@@ -71,6 +71,11 @@ class Row:
     cells: dict[str, str] = field(repr=False)
     problem: str | None = None
 
+    @property
+    def flight(self) -> str:
+        """ "quadrotor/key", which names a flight among those of all logbooks."""
+        return f"{self.quadrotor}/{self.key}"
+
     def has(self, column: str) -> bool:
         """The cell says yes."""
         return self.cells.get(column, "").strip().lower() in YES

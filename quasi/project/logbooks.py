@@ -11,6 +11,11 @@ from quasi.project.folder import Places, is_file, with_suffix
 from quasi.project.logbook import Row, apart, pick, read_logbook
 
 
+def name_row(row: Row) -> str:
+    """A row as messages name it."""
+    return f"row {row.number} of {row.logbook}"
+
+
 class Logbooks:
     """Rows of the logbooks that the configurations name."""
 
@@ -76,6 +81,10 @@ class Logbooks:
                         f"'{row.key}' of {row.quadrotor}; {apart(row, other)}"
                     )
         return found
+
+    def row_names(self) -> dict[str, str]:
+        """{"quadrotor/flight": its row as messages name it}; no setting of a job, for a moved row changes nothing."""
+        return {row.flight: name_row(row) for row in self.flights.values()}
 
     def _section(self, kind: str, name: str) -> Mapping[str, Any]:
         """The part of a configuration that names logbook and rows."""

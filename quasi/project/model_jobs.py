@@ -15,17 +15,12 @@ from quasi.project.flights import GEOMETRY, IDENTIFICATION, Recordings
 from quasi.project.folder import Places, is_file, with_suffix
 from quasi.project.gaps import HELD, Gaps
 from quasi.project.logbook import Row
-from quasi.project.logbooks import Logbooks
+from quasi.project.logbooks import Logbooks, name_row
 from quasi.project.same_recordings import recorded_twice
 from quasi.tables import read_json
 from quasi.terms.normalisation import make_normalisation
 
 STILLS = {"number of drone stills": 5, "show animation": False, "animation speed up factor": 1}
-
-
-def name_row(row: Row) -> str:
-    """A row as messages name it."""
-    return f"row {row.number} of {Path(row.logbook).name}"
 
 
 class ModelJobs:

@@ -12,17 +12,17 @@ from quasi.tables import sha256_of
 
 
 def same_recordings(held: Mapping[str, list[str]], trained: Mapping[str, list[str]]) -> tuple[str, str] | None:
-    """The first held-out row whose recording also trained, by content, and that row; None where there is none.
+    """The first held-out flight whose recording also trained, by content, and that flight; None where there is none.
 
-    held, trained  {row: [path of its on-board log, number of the log in it]}
+    held, trained  {"quadrotor/flight": [path of its on-board log, number of the log in it]}
     """
-    return _first_alike(held, {row: _content(*log) for row, log in trained.items()})
+    return _first_alike(held, {flight: _content(*log) for flight, log in trained.items()})
 
 
-def refuse_trained(asked: Mapping[str, Any], document: Mapping[str, Any]) -> None:
+def refuse_trained(asked: Mapping[str, Any], document: Mapping[str, Any], names: Mapping[str, str]) -> None:
     """Raise ConfigError where a held-out recording trained the model.
 
-    asked  of `Folder.gap`; document  the model's
+    asked  of `Folder.gap`; document  the model's; names  {"quadrotor/flight": its row}, for messages
     Recordings are compared by content. An older model without recordings is compared by flight keys, where the
     quadrotor's configuration has the same name. For a model of this folder the rows are known (`same_recordings`).
     """
@@ -31,18 +31,18 @@ def refuse_trained(asked: Mapping[str, Any], document: Mapping[str, Any]) -> Non
     head = f"{asked['file']}: held-out"
     if twice := _first_alike(asked["held"], known):
         raise ConfigError(
-            f"{head} {twice[0]} has the recording of flight {twice[1]}, which trained model {document['id']} by its "
-            "model.json; hold out a flight that the model has never seen"
+            f"{head} {names[twice[0]]} has the recording of flight {twice[1]}, which trained model {document['id']} by "
+            "its model.json; hold out a flight that the model has never seen"
         )
     if not asked["put there"] or (document.get("airframe") or {}).get("name") != asked["quadrotor"]["file"]:
         return
     without_recording = set(_trained(document)) - set(recordings)
-    for row, key in asked["held keys"].items():
+    for flight, key in asked["held keys"].items():
         if key in without_recording:
             raise ConfigError(
-                f"{head} {row} is flight {key}, and a flight of that name trained model {document['id']}, whose "
-                "model.json does not list recordings; hold out another one, or, if it is not that flight, give it a "
-                "name of its own in the logbook's column 'Flight key'"
+                f"{head} {names[flight]} is flight {key}, and a flight of that name trained model {document['id']}, "
+                "whose model.json does not list recordings; hold out another one, or, if it is not that flight, give "
+                "it a name of its own in the logbook's column 'Flight key'"
             )
 
 
@@ -72,39 +72,39 @@ def list_model_recordings(document: Mapping[str, Any]) -> dict[str, Mapping[str,
 
 
 def _first_alike(held: Mapping[str, list[str]], known: Mapping[str, tuple[str, ...]]) -> tuple[str, str] | None:
-    for row, log in held.items():
+    for flight, log in held.items():
         content = _content(*log)
         for other, its in known.items():
             if _alike(content, its):
-                return row, other
+                return flight, other
     return None
 
 
-def recorded_twice(rows: Mapping[str, list[str]]) -> tuple[str, str] | None:
-    """The first two rows that have one recording, by content; None where all differ. rows  as above
+def recorded_twice(flights: Mapping[str, list[str]]) -> tuple[str, str] | None:
+    """The first two flights that have one recording, by content; None where all differ. flights  as above
 
     A file that is absent, to be made or empty is known by its path.
     """
-    sizes = {path: _size(path) for path, _ in rows.values()}
+    sizes = {path: _size(path) for path, _ in flights.values()}
     often = Counter(sizes.values())
     # files of unlike sizes differ: only the others are read
     contents = {
-        row: _content(path, number) if sizes[path] and often[sizes[path]] > 1 else (path, _plain(number), path)
-        for row, (path, number) in rows.items()
+        flight: _content(path, number) if sizes[path] and often[sizes[path]] > 1 else (path, _plain(number), path)
+        for flight, (path, number) in flights.items()
     }
-    groups, order = defaultdict(list), {row: number for number, row in enumerate(contents)}
-    for row, content in contents.items():
-        groups[content[0]].append(row)  # rows of unlike content are no pair, and there may be thousands
+    groups, order = defaultdict(list), {flight: number for number, flight in enumerate(contents)}
+    for flight, content in contents.items():
+        groups[content[0]].append(flight)  # flights of unlike content are no pair, and there may be thousands
     pairs = (pair for group in groups.values() for pair in combinations(group, 2))
     found = [(a, b) for a, b in pairs if _alike(contents[a], contents[b])]
     return min(found, key=lambda pair: (order[pair[0]], order[pair[1]]), default=None)
 
 
-def repeated_recordings(asked: Mapping[str, Any]) -> list[str]:
+def repeated_recordings(asked: Mapping[str, Any], names: Mapping[str, str]) -> list[str]:
     """Sentences on recordings that have two roles, by content, or that cannot be read.
 
-    asked  "name", and of a gap "held", "trained" and "recordings", each {row: [path of its on-board log, number of the
-           log in it]}
+    asked  "name", and of a gap "held", "trained" and "recordings", each {"quadrotor/flight": [path of its on-board log,
+           number of the log in it]}; names  {"quadrotor/flight": its row}, for messages
     """
     try:
         trained = same_recordings(asked.get("held", {}), asked.get("trained", {}))
@@ -114,13 +114,13 @@ def repeated_recordings(asked: Mapping[str, Any]) -> list[str]:
     sentences = []
     if trained:
         sentences.append(
-            f"{asked['name']}: held-out {trained[0]} has the recording of {trained[1]}, which trained its model; hold "
-            "out a flight that the model has never seen"
+            f"{asked['name']}: held-out {names[trained[0]]} has the recording of {names[trained[1]]}, which trained "
+            "its model; hold out a flight that the model has never seen"
         )
     if twice:
         sentences.append(
-            f"{asked['name']}: {twice[0]} and {twice[1]} have the same recording, but each flight counts once and has "
-            "one role; leave one out, or give each its own 'Log number' if the file holds several logs"
+            f"{asked['name']}: {names[twice[0]]} and {names[twice[1]]} have the same recording, but each flight counts "
+            "once and has one role; leave one out, or give each its own 'Log number' if the file holds several logs"
         )
     return sentences
 

@@ -17,7 +17,7 @@ from quasi.project.folder import Places, is_file
 from quasi.project.gaps import HELD, Gaps
 from quasi.project.logbook import Row
 from quasi.project.logbooks import Logbooks
-from quasi.project.model_jobs import ModelJobs, name_row
+from quasi.project.model_jobs import ModelJobs
 
 MADE_MODEL = re.compile(r"models/[^/]+/standalone/model\.json")  # as rules name it; one that was put there is absolute
 
@@ -106,13 +106,17 @@ class Folder:
             "quadrotor": part["quadrotor"],
             "masses": {r.key: self.recordings.mass(r)[0] for r in rows},
             "sessions": {r.key: r.cells.get("Session", "") for r in rows},
-            "recordings": {name_row(r): log for r in rows if (log := self.recordings.log_of(r))},
-            "held": {name_row(r): log for r in held if (log := self.recordings.log_of(r))},
-            "trained": {name_row(r): log for r in trained if (log := self.recordings.log_of(r))},
-            "held keys": {name_row(r): r.key for r in held},
+            "recordings": self._logs(rows),
+            "held": self._logs(held),
+            "trained": self._logs(trained),
+            "held keys": {r.flight: r.key for r in held},
             "put there": self.gaps.lineage(settings["model"])[-1] not in self.configuration.models,
             "problem": part["problem"],
         }
+
+    def _logs(self, rows: Iterable[Row]) -> dict[str, list[str]]:
+        """{"quadrotor/flight": [path of its on-board log, number of the log in it]} of the rows that have one."""
+        return {r.flight: log for r in rows if (log := self.recordings.log_of(r))}
 
     @functools.cache  # noqa: B019
     def inspection(self, kind: str, name: str) -> dict[str, Any]:
@@ -132,7 +136,7 @@ class Folder:
         else:
             rows, roles = self.logbooks.processing_flights(), {}
         flights = {
-            f"{row.quadrotor}/{row.key}": {
+            row.flight: {
                 "role": roles.get(row.key, "validation"),
                 "problem": self.recordings.filtering(row.quadrotor, row.key)["problem"],
                 "settings": self._reading(row),
@@ -145,7 +149,7 @@ class Folder:
             settings = self.gap(name)
             found |= {k: settings[k] for k in ("held", "trained", "recordings")}
             trained = [r for r in self.gaps.trained(name) if not r.problem]
-            found["trained flights"] = {f"{r.quadrotor}/{r.key}": self._reading(r) for r in trained}
+            found["trained flights"] = {r.flight: self._reading(r) for r in trained}
         return found
 
     def _reading(self, row: Row) -> dict[str, Any]:

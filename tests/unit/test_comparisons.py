@@ -56,7 +56,7 @@ def test_flights_have_one_role_each_and_the_extended_model_a_name(folder):
     assert project.gaps.gravity("g") == "withGravity"
     asked = project.gap("g")
     assert asked["settings"]["false alarm rate"] == 0.01 and asked["settings"]["material share"] == 0.05
-    assert set(asked["trained"]) == {"row 2 of log.csv", "row 3 of log.csv"}
+    assert set(asked["trained"]) == {"Beetle/a", "Beetle/b"}
     assert project.model_jobs.roles("m-g") == {"training": ["a", "c", "d"], "validation": ["e"]}
     assert project.model_jobs.partitioning("m-g") == {"random partition": False}
 
@@ -206,12 +206,15 @@ def test_a_recording_that_trained_is_known_by_its_content_whatever_its_name(tmp_
     assert same_recordings({"row 4": [at["copy"][0], "02"]}, {"row 2": [at["a"][0], "2"]}) == ("row 4", "row 2")
 
 
+NAMES = {"Q/h": "row 4"}
+
+
 def put_there(tmp_path, **changes):
     """What a gap asks that holds out one log, and a model.json that the same recording under another name trained."""
     for name, text in {"held.bbl": "one", "other.bbl": "two"}.items():
         (tmp_path / name).write_text(text)
-    asked = {"file": "config/gaps/g.json", "held": {"row 4": [str(tmp_path / "held.bbl"), ""]},
-             "held keys": {"row 4": "h"}, "put there": True, "quadrotor": {"file": "Q"}}  # fmt: skip
+    asked = {"file": "config/gaps/g.json", "held": {"Q/h": [str(tmp_path / "held.bbl"), ""]},
+             "held keys": {"Q/h": "h"}, "put there": True, "quadrotor": {"file": "Q"}}  # fmt: skip
     document = {"id": "m", "airframe": {"name": "Q"}, "flights": {"training": ["x"]},
                 "recordings": {"x": {"sha256": sha256_of(tmp_path / "held.bbl"), "log": ""}}}  # fmt: skip
     return asked, document | changes
@@ -222,15 +225,15 @@ def test_a_model_tells_by_content_what_trained_it_wherever_it_is_put(tmp_path):
     words = "held-out row 4 has the recording of flight x, which trained model m by its model.json; hold out a flight"
     for where in (True, False):
         with pytest.raises(ConfigError, match=words):
-            refuse_trained(asked | {"put there": where}, document)
-    refuse_trained(asked | {"held": {"row 4": [str(tmp_path / "other.bbl"), ""]}}, document)
+            refuse_trained(asked | {"put there": where}, document, NAMES)
+    refuse_trained(asked | {"held": {"Q/h": [str(tmp_path / "other.bbl"), ""]}}, document, NAMES)
     # another log of the same file is another flight; which one is the longest is not known
     document["recordings"]["x"]["log"] = "1"
-    refuse_trained(asked | {"held": {"row 4": [str(tmp_path / "held.bbl"), "2"]}}, document)
+    refuse_trained(asked | {"held": {"Q/h": [str(tmp_path / "held.bbl"), "2"]}}, document, NAMES)
     for number in ("", None):
         document["recordings"]["x"]["log"] = number
         with pytest.raises(ConfigError, match=words):
-            refuse_trained(asked | {"held": {"row 4": [str(tmp_path / "held.bbl"), "2"]}}, document)
+            refuse_trained(asked | {"held": {"Q/h": [str(tmp_path / "held.bbl"), "2"]}}, document, NAMES)
     assert unchecked(asked, document) == []
 
 
@@ -238,15 +241,15 @@ def test_a_model_tells_by_content_what_trained_it_wherever_it_is_put(tmp_path):
 def test_an_older_model_is_asked_by_the_names_of_its_flights_and_says_that_content_is_unknown(tmp_path, recordings):
     asked, document = put_there(tmp_path, recordings=recordings, flights={"training": ["h"]})
     with pytest.raises(ConfigError, match="row 4 is flight h, and a flight of that name trained model m, whose"):
-        refuse_trained(asked, document)
-    refuse_trained(asked | {"put there": False}, document)  # its rows are known, and compared by content
-    refuse_trained(asked | {"quadrotor": {"file": "P"}}, document)  # names are those of one quadrotor
-    refuse_trained(asked | {"held keys": {"row 4": "i"}}, document)
+        refuse_trained(asked, document, NAMES)
+    refuse_trained(asked | {"put there": False}, document, NAMES)  # its rows are known, and compared by content
+    refuse_trained(asked | {"quadrotor": {"file": "P"}}, document, NAMES)  # names are those of one quadrotor
+    refuse_trained(asked | {"held keys": {"Q/h": "i"}}, document, NAMES)
     (said,) = unchecked(asked, document)
     assert said.startswith("whether a held-out flight trained model m could not be checked by content")
     assert unchecked(asked | {"put there": False}, document) == [] == unchecked(asked | {"held": {}}, document)
     for published in ({}, {"flights": None}, {"flights": ["h"]}, {"flights": {"training": 3}}):  # tells none, or oddly
-        refuse_trained(asked, {"id": "m"} | published)
+        refuse_trained(asked, {"id": "m"} | published, NAMES)
         assert unchecked(asked, {"id": "m"} | published)
 
 
@@ -266,7 +269,7 @@ def test_a_flight_tells_whether_its_rotor_telemetry_was_set_right():
 
 def test_a_gap_knows_whether_its_model_was_put_there(folder):
     assert Folder(folder).gap("g")["put there"] is False
-    assert Folder(folder).gap("g")["held keys"] == {"row 6 of log.csv": "e"}
+    assert Folder(folder).gap("g")["held keys"] == {"Beetle/e": "e"}
     place = folder / "models/given/standalone/model.json"
     place.parent.mkdir(parents=True)
     place.write_text(json.dumps({"axes": {"Fz": {"terms": [{"expression": "w_tot"}]}}}))

@@ -9,7 +9,7 @@ import pytest
 from quasi.airframe import read_airframe
 from quasi.command import main
 from quasi.errors import ConfigError, QuasiError
-from quasi.project.same_recordings import recorded_twice, same_recordings
+from quasi.project.same_recordings import recorded_twice, repeated_recordings, same_recordings
 from quasi.project.workflow import Folder
 
 ROOT = Path(__file__).parents[2]
@@ -109,15 +109,41 @@ def test_recordings_are_told_apart_by_content_and_number(folder):
     raw = folder / "data/raw"
     shutil.copy(raw / "e.bbl", raw / "d.bbl")  # row 5 is then row 6
     asked = gap(folder)
-    logs = {row: [str(folder / path), number] for row, (path, number) in asked["recordings"].items()}
-    assert set(asked["recordings"]) == {f"row {n} of log.csv" for n in range(2, 8)}  # the training flights as reference
-    assert recorded_twice(logs) == ("row 5 of log.csv", "row 6 of log.csv")
-    one, other = logs["row 5 of log.csv"][0], logs["row 7 of log.csv"][0]
+    logs = {flight: [str(folder / path), number] for flight, (path, number) in asked["recordings"].items()}
+    assert set(asked["recordings"]) == {f"Beetle/{n}" for n in "abcdef"}  # the training flights as reference
+    assert recorded_twice(logs) == ("Beetle/d", "Beetle/e")
+    one, other = logs["Beetle/d"][0], logs["Beetle/f"][0]
     assert recorded_twice({"a": [one, "1"], "b": [one, "2"], "c": [other, ""]}) is None
     # without a number the longest log is read, which may be any
     assert recorded_twice({"a": [one, "1"], "b": [one, ""]}) == ("a", "b")
     assert same_recordings({"a": [one, ""]}, {"b": [other, ""], "c": [one, "1"]}) == ("a", "c")
     assert same_recordings({"a": [one, ""]}, {"b": [other, ""]}) is None
+
+
+def test_rows_that_move_change_no_job_of_a_gap(folder):
+    before = gap(folder), Folder(folder).inspection("gaps", "g")
+    header, *rows = (folder / "data/log.csv").read_text().splitlines()
+    (folder / "data/log.csv").write_text("\n".join([header, "," * header.count(","), *rows]) + "\n")
+    model = json.loads((folder / "config/models/m.json").read_text())
+    model["logging file"]["rows of flights to use (all)"] = ["3-5"]
+    (folder / "config/models/m.json").write_text(json.dumps(model))
+    after = gap(folder, rows={ROWS: ["6-8"], HELD: [8]}), Folder(folder).inspection("gaps", "g")
+    assert after == before
+    assert Folder(folder).logbooks.row_names()["Beetle/d"] == f"row 6 of {folder}/data/log.csv"
+
+
+def test_two_logbooks_of_one_name_are_two(folder):
+    header, *rows = (folder / "data/log.csv").read_text().splitlines()
+    (folder / "data/later").mkdir()
+    (folder / "data/later/log.csv").write_text("\n".join([header, *rows[3:]]) + "\n")
+    (folder / "data/log.csv").write_text("\n".join([header, *rows[:3]]) + "\n")
+    shutil.copy(folder / "data/raw/a.bbl", folder / "data/raw/d.bbl")
+    asked = gap(folder, rows={"directory": "data/later", ROWS: ["2-4"], HELD: [4]})
+    assert set(asked["recordings"]) == {f"Beetle/{n}" for n in "abcdef"}
+    logs = {flight: [str(folder / path), number] for flight, (path, number) in asked["recordings"].items()}
+    names = Folder(folder).logbooks.row_names()
+    (said,) = repeated_recordings({"name": "gap g", "recordings": logs}, names)
+    assert f"row 2 of {folder}/data/log.csv and row 2 of {folder}/data/later/log.csv have the same recording" in said
 
 
 @pytest.fixture

@@ -157,7 +157,7 @@ def test_a_gap_whose_held_out_recording_trained_its_model_is_refused(lab, capsys
     assert main(["check", str(lab)]) == 1
     printed = capsys.readouterr().out
     assert printed.splitlines()[0].endswith("not possible: gap my_gap.")
-    assert "held-out row 3 of logbook.csv has the recording of row 3 of logbook.csv" in printed
+    assert "held-out row 3 of data/logbook.csv has the recording of row 3 of data/logbook.csv" in printed
 
 
 def test_a_gap_with_a_flight_without_rotor_speeds_is_refused_and_its_model_is_not(lab, capsys):

@@ -70,7 +70,7 @@ def test_a_held_out_flight_whose_recording_trained_the_model_is_refused(project)
     code, text = project.snakemake("-j1", "results/calibrations/near.json")
     assert code != 0
     line = last_line(text)
-    assert "held-out row 3 of small_file_log.csv has the recording of row 3 of small_file_log.csv" in line
+    assert "held-out row 3 of data/small_file_log.csv has the recording of row 3 of data/small_file_log.csv" in line
     assert "hold out a flight that the model has never seen" in line
     assert "runs Python code" not in text
 
@@ -86,7 +86,8 @@ def test_a_copied_model_still_knows_the_recordings_that_trained_it(project):
     configure(project, model="copied", rows={"rows of flights held out": [3], **NO_REFERENCE})
     code, text = project.snakemake("-j1", "results/calibrations/near.json")
     assert code != 0
-    assert "held-out row 3 of small_file_log.csv has the recording of flight small-2, which trained" in last_line(text)
+    words = "held-out row 3 of data/small_file_log.csv has the recording of flight small-2, which trained"
+    assert words in last_line(text)
     configure(project, model="copied", rows={"rows of flights held out": [4], **NO_REFERENCE})
     code, text = project.snakemake("-j1", "results/calibrations/near.json")
     assert code == 0, text
