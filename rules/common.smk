@@ -209,7 +209,8 @@ def training_flights(wildcards):
     gap = ask(FOLDER.gaps.maker_of, wildcards.model)
     if gap:
         return calibrated(gap, ("compared", "reference"))
-    announce(ask(FOLDER.model_jobs.changed_selection, wildcards.model))
+    for notice in ask(FOLDER.model_jobs.changed_selection, wildcards.model):
+        announce(notice)
     return filtered(
         ask(FOLDER.logbooks.model_flights, wildcards.model, "training"),
         ask(FOLDER.configuration.gravity, wildcards.model),

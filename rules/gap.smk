@@ -16,6 +16,8 @@ CATALOGUE = [
 def own_effects(wildcards):
     asked = ask(FOLDER.gap, wildcards.gap)
     announce(describe_run_code(asked))
+    for notice in ask(FOLDER.gaps.changed_selection, wildcards.gap):
+        announce(notice)
     files = asked["effect files"]
     # an absent one fails the job with a sentence
     return [path for path in files if Path(path).is_file()]

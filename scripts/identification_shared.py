@@ -62,7 +62,7 @@ def main(flights: list[str], settings: dict, shared_json: str, partition_parquet
         )
     about = {
         "model": settings["model"],
-        "flights": {"training": list(tables)},
+        "flights": {"training": list(tables), "selected": settings["flights"]},
         "airframe": to_plain(airframe),
         "logged to rad/s": next(iter(factors), None),
         "data partitioning": settings["data partitioning"],

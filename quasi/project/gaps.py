@@ -26,6 +26,22 @@ def describe_run_code(asked: Mapping[str, Any]) -> str | None:
     return f"{asked['file']} runs Python code: effect files {files}; name only files that you trust"
 
 
+def describe_change(
+    subject: str, role: str, now: Sequence[str], before: Sequence[str] | None, since: str, anew: str
+) -> str | None:
+    """Sentence where the selected rows mean other flights than before; None where they are the same or not known.
+
+    now, before  flight keys, None where not known; since, anew  what was done with those before, what will be again
+    """
+    if before is None or set(before) == set(now):
+        return None
+    listed, earlier = (", ".join(keys) or "none" for keys in (now, before))
+    return (
+        f"{subject}: the selected rows now mean the {role} flights {listed}; it {since} {earlier} and will be "
+        f"{anew} anew"
+    )
+
+
 class Gaps:
     """Models that gaps compare and make, and the flights of each gap by role."""
 
@@ -137,6 +153,18 @@ class Gaps:
         """{flight key: role}, reference flights first."""
         flights = self.flights(name)
         return {r.key: role for role in (REFERENCE, COMPARED, HELD) for r in flights[role]}
+
+    def changed_selection(self, name: str) -> list[str]:
+        """Sentences where an existing diagnosis was made from other flights than the rows of the gap now mean."""
+        try:
+            before = dict(read_json(self.places.here(f"results/gaps/{name}/diagnosis.json"))["flights"])
+        except (QuasiError, OSError, KeyError, TypeError, ValueError):
+            return []
+        roles, found = self.roles(name), []
+        for role, shown in ((REFERENCE, REFERENCE), (COMPARED, COMPARED), (HELD, "held-out")):
+            now, earlier = ([key for key, its in each.items() if its == role] for each in (roles, before))
+            found.append(describe_change(f"gap {name}", shown, now, earlier, "was made from", "made"))
+        return [sentence for sentence in found if sentence]
 
     def rows(self, name: str) -> list[Row]:
         """All rows of a gap, reference flights first."""

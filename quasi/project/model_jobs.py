@@ -13,7 +13,7 @@ from quasi.errors import ConfigError, QuasiError, nearest
 from quasi.project.configurations import AXES, Configurations, check_model_file, check_specification
 from quasi.project.flights import GEOMETRY, IDENTIFICATION, Recordings
 from quasi.project.folder import Places, is_file, with_suffix
-from quasi.project.gaps import HELD, Gaps
+from quasi.project.gaps import HELD, Gaps, describe_change
 from quasi.project.logbook import Row
 from quasi.project.logbooks import Logbooks, name_row
 from quasi.project.same_recordings import recorded_twice
@@ -257,19 +257,27 @@ class ModelJobs:
             f"{nearest(base.name, known)}"
         )
 
-    def changed_selection(self, name: str) -> str | None:
-        """A sentence when an existing model's rows now mean other flights than those it was made from, else None."""
-        path = self.places.here(f"results/identified/{name}/shared.json")
-        if not path.is_file():
-            return None
-        try:
-            before = list(read_json(path)["flights"]["training"])
-        except (QuasiError, KeyError, TypeError):
-            return None
-        now = [r.key for r in self.logbooks.model_flights(name, "training")]
-        if set(before) == set(now):
-            return None
-        return (
-            f"model {name}: the selected rows now mean the training flights {', '.join(now)}; it was made from "
-            f"{', '.join(before)} and will be identified anew"
+    def changed_selection(self, name: str) -> list[str]:
+        """Sentences where an existing model's rows now mean other flights than those it was made from or judged by."""
+        roles = self.roles(name)
+        trained = self._made(f"results/identified/{name}/shared.json")
+        before = trained.get("selected")
+        if before is None:  # an older file lists no flight that was unusable
+            before = trained.get("training")
+            before = None if before and set(before) < set(roles["training"]) else before
+        judged = self._made(f"results/parts/standalone/{name}/model.json").get("validation")
+        found = (
+            describe_change(f"model {name}", "training", roles["training"], before, "was made from", "identified"),
+            describe_change(f"model {name}", "validation", roles["validation"], judged, "was judged by", "judged"),
         )
+        return [sentence for sentence in found if sentence]
+
+    def _made(self, path: str) -> dict[str, list[str]]:
+        """The flights by role of a file that a job made; {} where it is absent or unreadable."""
+        try:
+            flights = dict(read_json(self.places.here(path))["flights"]).items()
+        except (QuasiError, OSError, KeyError, TypeError, ValueError):
+            return {}
+        return {
+            role: keys for role, keys in flights if isinstance(keys, list) and all(isinstance(k, str) for k in keys)
+        }

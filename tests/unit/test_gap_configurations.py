@@ -132,6 +132,21 @@ def test_rows_that_move_change_no_job_of_a_gap(folder):
     assert Folder(folder).logbooks.row_names()["Beetle/d"] == f"row 6 of {folder}/data/log.csv"
 
 
+def test_rows_that_mean_other_flights_than_the_diagnosis_was_made_from(folder):
+    gap(folder)
+    roles = Folder(folder).gaps.roles("g")
+    assert Folder(folder).gaps.changed_selection("g") == []
+    made = folder / "results/gaps/g/diagnosis.json"
+    made.parent.mkdir(parents=True)
+    made.write_text(json.dumps({"flights": roles}))
+    assert Folder(folder).gaps.changed_selection("g") == []
+    edited = (folder / "data/log.csv").read_text().replace("Beetle,f,", "Beetle,z,")
+    (folder / "data/log.csv").write_text(edited)
+    (said,) = Folder(folder).gaps.changed_selection("g")
+    words = "gap g: the selected rows now mean the held-out flights z; it was made from f and will be made anew"
+    assert said == words
+
+
 def test_two_logbooks_of_one_name_are_two(folder):
     header, *rows = (folder / "data/log.csv").read_text().splitlines()
     (folder / "data/later").mkdir()

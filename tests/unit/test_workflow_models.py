@@ -230,11 +230,49 @@ def test_broken_model_does_not_stop_the_others(folder):
 
 def test_selection_that_means_other_flights_than_the_model_was_made_from_is_told(folder):
     project = Folder(folder)
-    assert project.model_jobs.changed_selection("m") is None
+    assert project.model_jobs.changed_selection("m") == []
     made = folder / "results/identified/m/shared.json"
     made.parent.mkdir(parents=True)
     made.write_text(json.dumps({"flights": {"training": ["a", "x"]}}))
-    assert "now mean the training flights a, b; it was made from a, x" in project.model_jobs.changed_selection("m")
+    (said,) = project.model_jobs.changed_selection("m")
+    assert "now mean the training flights a, b; it was made from a, x" in said
+
+
+@pytest.mark.parametrize("before", [{"training": ["a"], "selected": ["a", "b"]}, {"training": ["a"]}])
+def test_an_unusable_training_flight_is_no_changed_selection(folder, before):
+    made = folder / "results/identified/m/shared.json"
+    made.parent.mkdir(parents=True)
+    made.write_text(json.dumps({"flights": before}))
+    assert Folder(folder).model_jobs.changed_selection("m") == []
+
+
+def test_a_row_added_to_the_selection_is_a_changed_selection(folder):
+    made = folder / "results/identified/m/shared.json"
+    made.parent.mkdir(parents=True)
+    made.write_text(json.dumps({"flights": {"training": ["a"], "selected": ["a"]}}))
+    (said,) = Folder(folder).model_jobs.changed_selection("m")
+    assert said.endswith("now mean the training flights a, b; it was made from a and will be identified anew")
+
+
+def test_another_validation_flight_is_a_changed_selection(folder):
+    made = folder / "results/parts/standalone/m/model.json"
+    made.parent.mkdir(parents=True)
+    made.write_text(json.dumps({"flights": {"training": ["a"], "validation": ["c"]}}))
+    assert Folder(folder).model_jobs.changed_selection("m") == []
+    made.write_text(json.dumps({"flights": {"training": ["a"], "validation": ["x"]}}))
+    (said,) = Folder(folder).model_jobs.changed_selection("m")
+    words = "model m: the selected rows now mean the validation flights c; it was judged by x and will be judged anew"
+    assert said == words
+
+
+@pytest.mark.parametrize(
+    "odd", [[], {}, {"flights": None}, {"flights": {"selected": 3, "training": [[]], "validation": [1]}}]
+)
+def test_an_odd_file_of_an_earlier_run_is_no_changed_selection(folder, odd):
+    for path in ("results/identified/m/shared.json", "results/parts/standalone/m/model.json"):
+        (folder / path).parent.mkdir(parents=True)
+        (folder / path).write_text(json.dumps(odd))
+    assert Folder(folder).model_jobs.changed_selection("m") == []
 
 
 def test_absent_logbook_is_told_with_the_configuration_that_names_it(folder):

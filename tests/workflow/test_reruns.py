@@ -225,6 +225,8 @@ def test_edited_module_reruns_the_stages_that_use_it_and_no_others(project, modu
 
 
 def test_rows_that_mean_other_flights_now_are_told_before_the_run(project):
+    shared = json.loads((project.folder / "results/identified/small/shared.json").read_text())
+    assert shared["flights"]["selected"] == ["small-1", "small-2"]
     project.edit_json(
         "config/models/small.json", lambda c: c["logging file"].update({"rows of flights to use (all)": [2, 4, 5]})
     )
