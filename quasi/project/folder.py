@@ -28,6 +28,14 @@ def is_file(path: Path) -> bool:
         return False
 
 
+def given_model_path(name: str) -> str:
+    """Path of a model.json that a user has put there: from the project folder, which may move.
+
+    The dot keeps rules from taking it for one that they make.
+    """
+    return f"models/./{name}/standalone/model.json"
+
+
 def check_writable(folder: str | Path) -> None:
     """Raise ConfigError for a project folder into which, or into whose folders of results, nothing can be written."""
     for place in (Path(folder), *(Path(folder) / made for made in MADE)):

@@ -8,7 +8,7 @@ from typing import Any
 from quasi.errors import ConfigError, QuasiError, nearest, quoted
 from quasi.input_limits import MAX_NAME_CHARACTERS
 from quasi.project.configurations import AXES, Configurations, check_model_file
-from quasi.project.folder import Places, is_file
+from quasi.project.folder import Places, given_model_path, is_file
 from quasi.project.logbook import Row
 from quasi.project.logbooks import Logbooks
 from quasi.tables import read_json, read_text
@@ -184,7 +184,7 @@ class Gaps:
             return path
         if is_file(self.places.here(path)):
             check_model_file(self.places.here(path), path)
-            return self.places.here(path).absolute().as_posix()  # it was put there: no rule makes it
+            return given_model_path(model)
         others = [made for gap, made in self.extensions[0].items() if gap != name]
         raise ConfigError(
             f"config/gaps/{name}.json: 'model' is '{model}', but neither config/models/{model}.json nor {path} exists"

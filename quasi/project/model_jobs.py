@@ -12,7 +12,7 @@ from quasi.airframe import read_airframe
 from quasi.errors import ConfigError, QuasiError, nearest
 from quasi.project.configurations import AXES, Configurations, check_model_file, check_specification
 from quasi.project.flights import GEOMETRY, IDENTIFICATION, Recordings
-from quasi.project.folder import Places, is_file, with_suffix
+from quasi.project.folder import Places, given_model_path, is_file, with_suffix
 from quasi.project.gaps import HELD, Gaps, describe_change
 from quasi.project.logbook import Row
 from quasi.project.logbooks import Logbooks, name_row
@@ -190,7 +190,7 @@ class ModelJobs:
                 "the model first"
             )
         check_model_file(self.places.here(path), str(path))
-        return self.places.here(path).absolute().as_posix()  # no rule makes it
+        return given_model_path(name)
 
     def matlab(self, name: str) -> dict[str, Any]:
         """Settings of the MATLAB export: inputs "u" of the differential form or None, and the "file" that says so.

@@ -13,13 +13,13 @@ from typing import Any
 from quasi.errors import ConfigError, QuasiError, nearest
 from quasi.project.configurations import Configurations
 from quasi.project.flights import GAP_KEYS, Recordings
-from quasi.project.folder import Places, is_file
+from quasi.project.folder import Places, given_model_path, is_file
 from quasi.project.gaps import HELD, Gaps
 from quasi.project.logbook import Row
 from quasi.project.logbooks import Logbooks
 from quasi.project.model_jobs import ModelJobs
 
-MADE_MODEL = re.compile(r"models/[^/]+/standalone/model\.json")  # as rules name it; one that was put there is absolute
+MADE_MODEL = re.compile(r"models/[^/]+/standalone/model\.json")  # as rules name it, unlike `given_model_path`
 
 
 class Folder:
@@ -55,7 +55,7 @@ class Folder:
         chosen, where = settings["model"], f"config/simulations/{name}.json"
         model = chosen["model ID"]
         folder = self.places.place(chosen["model path"]) / model
-        path = folder / "standalone" / "model.json"
+        path, given = folder / "standalone" / "model.json", None
         if is_file(self.places.here(folder / "model.json")):
             path = folder / "model.json"
         elif (
@@ -72,7 +72,7 @@ class Folder:
                     f"{where}: 'model ID' is '{model}', but neither config/models/{model}.json nor {path} exists"
                     f"{nearest(model, known)}"
                 )
-            path = self.places.here(path).absolute()  # it was put there: no rule makes it
+            given = given_model_path(model)
         elif folder.parts[:-1] == ("models",):
             pass  # the model is made when it is not there
         elif not is_file(self.places.here(path)):
@@ -82,7 +82,7 @@ class Folder:
         for kind, file in found.items():
             if file and not is_file(self.places.here(file)):
                 raise ConfigError(f"{where}: the {kind}'s table {file} does not exist; correct 'file', or put it there")
-        return {"name": name, "settings": settings, "model": path.as_posix(), **found}
+        return {"name": name, "settings": settings, "model": given or path.as_posix(), **found}
 
     def animation(self, name: str) -> dict[str, Any]:
         """Settings of the animation of a simulation."""

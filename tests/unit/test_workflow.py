@@ -222,6 +222,24 @@ def test_a_mistyped_model_of_a_simulation_is_answered_with_models_that_were_put_
         Folder(folder).simulation("s")
 
 
+def test_the_path_of_a_model_that_was_put_there_is_the_same_wherever_the_folder_lies(folder, tmp_path_factory):
+    (folder / "models/beetle/standalone").mkdir(parents=True)
+    (folder / "models/beetle/standalone/model.json").write_text("{}")
+    rows = {"filename": "log", "rows of flights to compare (all)": ["2-4"], "rows of flights held out": [4]}
+    configured = {"simulations": {"model": {"model ID": "beetle"}}, "gaps": {"model": "beetle", "logging file": rows}}
+    for kind, document in configured.items():
+        (folder / f"config/{kind}").mkdir(exist_ok=True)
+        (folder / f"config/{kind}/s.json").write_text(json.dumps(document))
+    moved = tmp_path_factory.mktemp("elsewhere") / "project"
+    shutil.copytree(folder, moved)
+    for place in (folder, moved):
+        project = Folder(place)
+        paths = {project.model_jobs.portable("beetle"), project.simulation("s")["model"], project.gaps.model_path("s")}
+        assert paths == {"models/./beetle/standalone/model.json"}
+        assert project.given(paths) == list(paths) and (place / paths.pop()).is_file()
+        assert project.given([project.model_jobs.portable("m")]) == []  # a rule makes it
+
+
 @pytest.mark.parametrize(
     ("change", "fact"),
     [

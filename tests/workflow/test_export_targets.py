@@ -48,6 +48,11 @@ def test_exports_are_made_once_and_again_when_model_or_files_change(tmp_path):
     assert json.loads((matlab / "agreement.json").read_text())["agrees"] is (True if find_octave() else None)
     code, printed = project.snakemake(*TARGETS)
     assert code == 0 and "Nothing to be done" in printed
+    (tmp_path / "elsewhere").mkdir()
+    (tmp_path / "project").rename(tmp_path / "elsewhere/project")
+    code, printed = Project(tmp_path / "elsewhere").snakemake(*TARGETS)
+    assert code == 0 and "Nothing to be done" in printed, "a folder that moved"
+    (tmp_path / "elsewhere/project").rename(tmp_path / "project")
 
     copy = Project(tmp_path)
     copy.copy_library()
