@@ -43,6 +43,7 @@ OPTIONAL = (
 )
 VALID_NAME = re.compile(rf"[A-Za-z0-9_+-][A-Za-z0-9._+-]{{0,{MAX_NAME_CHARACTERS - 1}}}")
 _ROWS = re.compile(r"\s*([0-9]{1,9})\s*(?:-\s*([0-9]{1,9})\s*)?")  # digits enough for any logbook
+_SEPARATOR_LINE = re.compile(r'"?sep=.?"?[ ,;\t]*\r?\n', re.IGNORECASE)  # for spreadsheets alone
 NAME_RULE = f"at most {MAX_NAME_CHARACTERS} letters, digits and . _ + -, not a dot first"
 
 
@@ -117,10 +118,11 @@ def read_logbook(path: str | Path) -> dict[int, Row]:
     text = read_text(path, MAX_LOGBOOK_BYTES)
     if text.startswith("PK"):
         raise LogbookError(f"{path} is a spreadsheet file, not text; save the logbook as CSV from the spreadsheet")
-    first = text.partition("\n")[0]
-    if not first.strip(" ,;\t\r"):
+    if _SEPARATOR_LINE.match(text):
+        text = text.partition("\n")[2]  # a spreadsheet does not show this line, so the header stays row 1
+    if not text.partition("\n")[0].strip(" ,;\t\r"):
         raise LogbookError(f"{path}: the first line is empty; it must hold the names of the columns")
-    separator = "," if "," in first else ";" if ";" in first else "\t"
+    separator = _separator(text)
     # strict: a quote that nothing closes would swallow the rows below it
     reader = csv.reader(io.StringIO(text, newline=""), delimiter=separator, strict=True)
     lines: list[list[str]] = []
@@ -132,8 +134,7 @@ def read_logbook(path: str | Path) -> dict[int, Row]:
             f"{path} row {len(lines) + 1} is not CSV ({error}); close or remove a quote there, or save the logbook as "
             "comma-separated text from the spreadsheet"
         ) from None
-    header = [c.strip() for c in lines[0]]
-    header = [LOGBOOK_COLUMNS.get(_plain(c), c) for c in header]
+    header = _known_columns(lines[0])
     for column in NEEDED:
         if column not in header:
             raise LogbookError(
@@ -156,6 +157,25 @@ def read_logbook(path: str | Path) -> dict[int, Row]:
                 rows[index] = replace(rows[index], problem=problem)
     _refuse_clashes(rows.values())
     return rows
+
+
+def _known_columns(header: Iterable[str]) -> list[str]:
+    """The columns of a first line, those that are known by their usual names."""
+    return [LOGBOOK_COLUMNS.get(_plain(c), c) for c in (c.strip() for c in header)]
+
+
+def _separator(text: str) -> str:
+    """The separator by which the first line holds most of the needed columns, else one that stands in it."""
+    first = text.partition("\n")[0]
+
+    def rank(separator: str) -> tuple[int, bool]:
+        try:
+            header = next(csv.reader(io.StringIO(text, newline=""), delimiter=separator), [])
+        except csv.Error:  # an open quote; the reading of the rows says so
+            header = []
+        return len({*NEEDED} & {*_known_columns(header)}), separator in first
+
+    return max((",", ";", "\t"), key=rank)
 
 
 def _refuse_near_columns(header: list[str], path: str) -> None:

@@ -119,6 +119,27 @@ def test_semicolons_quotes_and_comma_decimals_of_spreadsheets_are_read(tmp_path)
     assert row.cells["Comments"] == "wind; gusts"
 
 
+@pytest.mark.parametrize("own", ["Ort, Datum", "Notes (a,b)", '"Ort, Datum, Zeit"', "a,b,c,d,e,f,g,h,i"])
+@pytest.mark.parametrize("separator", [";", "\t"])
+def test_a_comma_in_the_name_of_a_column_is_no_separator(tmp_path, own, separator):
+    path = write(tmp_path / "log.csv", {**flight("a"), own: "Delft"}, header=[own, *HEADER], separator=separator)
+    row = read_logbook(path)[2]
+    assert (row.key, row.cells[own.strip('"')]) == ("a", "Delft")
+
+
+def test_a_quote_that_the_first_line_leaves_open_is_a_fault_of_the_logbook(tmp_path):
+    path = write(tmp_path / "log.csv", *[flight(f"a{i}") for i in range(5000)], header=['"mine', *HEADER])
+    with pytest.raises(LogbookError, match=r"log.csv row 1 is not CSV .*; close or remove a quote there"):
+        read_logbook(path)
+
+
+@pytest.mark.parametrize(("first", "separator"), [("sep=;", ";"), ("SEP=,", ","), ('"sep=;"', ";"), ("sep=;\r", ",")])
+def test_the_line_that_names_the_separator_to_a_spreadsheet_is_no_header(tmp_path, first, separator):
+    path = write(tmp_path / "log.csv", flight("a"), separator=separator)
+    path.write_text(f"{first}\n{path.read_text()}")
+    assert {n: r.key for n, r in read_logbook(path).items()} == {2: "a"}
+
+
 def test_text_where_a_number_is_wanted_names_the_cell(tmp_path):
     row = read_logbook(write(tmp_path / "log.csv", flight("a", Mass="heavy")))[2]
     with pytest.raises(LogbookError, match="row 2: 'Mass' is 'heavy', expected a number"):
