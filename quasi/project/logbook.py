@@ -5,6 +5,7 @@ import difflib
 import io
 import math
 import re
+from collections import Counter
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -155,6 +156,7 @@ def read_logbook(path: str | Path) -> dict[int, Row]:
                     f"cell that holds {separator!r} in quotes, or remove what stands beyond ({' '.join(beyond)[:40]!r})"
                 )
                 rows[index] = replace(rows[index], problem=problem)
+    rows = _with_names_apart(rows)
     _refuse_clashes(rows.values())
     return rows
 
@@ -204,8 +206,12 @@ def key_of(file_name: str) -> str:
     return re.sub(rf"(?<=.)\.({endings})$", "", file_name, flags=re.IGNORECASE)
 
 
+def _meant_key(cells: Mapping[str, str]) -> str:
+    return cells.get("Flight key") or key_of(cells["Onboard Name"])
+
+
 def _row(path: str, number: int, cells: dict[str, str]) -> Row:
-    key = cells.get("Flight key") or key_of(cells["Onboard Name"])
+    key = _meant_key(cells)
     problem = None
     log_number = cells.get("Log number", "")
     if log_number:
@@ -249,8 +255,26 @@ def _possible(name: str, number: int) -> str:
     """A name that a target can have, so that the row fails in jobs of its own and the others go on."""
     possible = re.sub(r"[^A-Za-z0-9._+-]+", "_", name[:MAX_CELL_CHARACTERS]).lstrip(".")
     if len(possible) > MAX_NAME_CHARACTERS:
-        possible = f"{possible[: MAX_NAME_CHARACTERS // 2]}-row-{number}"  # two long names may begin alike
+        possible = _of_row(possible, number)  # two long names may begin alike
     return possible or f"row-{number}"
+
+
+def _of_row(name: str, number: int) -> str:
+    return f"{name[: MAX_NAME_CHARACTERS // 2]}-row-{number}"
+
+
+def _with_names_apart(rows: Mapping[int, Row]) -> dict[int, Row]:
+    """The rows; names that were altered into the name of another flight get the number of their row."""
+    count = Counter((row.quadrotor, row.key) for row in rows.values())
+    apart_now = {}
+    for number, row in rows.items():
+        if count[row.quadrotor, row.key] > 1:
+            if not VALID_NAME.fullmatch(_meant_key(row.cells)):
+                row = replace(row, key=_of_row(row.key, number))
+            elif not VALID_NAME.fullmatch(row.cells["Quadrotor"]):
+                row = replace(row, quadrotor=_of_row(row.quadrotor, number))
+        apart_now[number] = row
+    return apart_now
 
 
 def _refuse_clashes(rows: Iterable[Row]) -> None:

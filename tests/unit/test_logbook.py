@@ -107,6 +107,26 @@ def test_name_that_cannot_be_a_file_is_a_fault_of_that_row_alone(tmp_path, name)
     assert book[3].problem is None
 
 
+@pytest.mark.parametrize(
+    ("names", "keys"),
+    [
+        (["\u98db\u884c", "\u8a66\u9a13", "c"], ["_-row-2", "_-row-3", "c"]),
+        (["a_b", "a b", "c d"], ["a_b", "a_b-row-3", "c_d"]),
+        (["a b", "c"], ["a_b", "c"]),
+    ],
+)
+def test_names_that_are_altered_alike_keep_their_rows_apart(tmp_path, names, keys):
+    book = read_logbook(write(tmp_path / "log.csv", *[flight(name) for name in names]))
+    assert [row.key for row in book.values()] == keys
+    assert [bool(row.problem) for row in book.values()] == [not name.isascii() or " " in name for name in names]
+
+
+def test_quadrotors_that_are_altered_alike_keep_their_rows_apart(tmp_path):
+    rows = [flight("a", Quadrotor=name) for name in ("my quad", "my/quad", "my_quad")]
+    book = read_logbook(write(tmp_path / "log.csv", *rows))
+    assert [row.quadrotor for row in book.values()] == ["my_quad-row-2", "my_quad-row-3", "my_quad"]
+
+
 def test_unknown_flight_controller_names_the_near_one(tmp_path):
     book = read_logbook(write(tmp_path / "log.csv", flight("a", **{"Flight controller": "betaflght"})))
     assert "did you mean 'betaflight'" in book[2].problem
