@@ -35,4 +35,4 @@ def check_folder(directory: Path, library: Path, data: str | None = None) -> tup
             repeated = repeated_recordings(work, folder.logbooks.row_names()) if ready else []
             refused[name] = refusals(work, found) + repeated if ready else []
     broken = any(refused.values()) or any(about["problem"] for about in found.values())
-    return report(found, refused, pending, untouched), int(broken)
+    return report(found, refused, pending, untouched, folder.places.notices), int(broken)

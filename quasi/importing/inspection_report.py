@@ -13,6 +13,7 @@ def report(
     refused: Mapping[str, Sequence[str]],
     pending: Collection[str] = (),
     untouched: Sequence[str] = (),
+    notices: Sequence[str] = (),
 ) -> str:
     """Text of several lines.
 
@@ -20,6 +21,7 @@ def report(
     refused    {what is configured, such as "model m": sentences on why it cannot be made; none where it can}
     pending    flights whose raw files a rule is still to make
     untouched  what is configured as `quasi init` laid it, and fits no flights yet
+    notices    remarks of the configuration files and logbooks
     """
     lines = [_answer(inspected, refused), ""]
     rows = [("flight", "log", "capture", *HOLDINGS, "usable for")]
@@ -34,6 +36,7 @@ def report(
         for remark in found["remarks"]:
             alike.setdefault(remark.removeprefix(f"{found['flight']}: "), []).append(found["flight"])
     remarks = [f"- {', '.join(flights)}: {remark}" for remark, flights in alike.items()]
+    remarks += [f"- {notice}" for notice in notices]
     remarks += [f"- {name} is as `quasi init` laid it and is left out" for name in untouched]
     return "\n".join([*lines, *([] if faults or not remarks else [""]), *remarks])
 

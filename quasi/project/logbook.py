@@ -111,8 +111,10 @@ def describe_row(path: str | Path, quadrotor: str, key: str) -> dict[str, Any]:
     )
 
 
-def read_logbook(path: str | Path) -> dict[int, Row]:
+def read_logbook(path: str | Path, notices: list[str] | None = None) -> dict[int, Row]:
     """Rows of a logbook by their number (header = row 1); rows without an Onboard Name are left out.
+
+    notices  gets a sentence on those that are left out although they look like flights
 
     Raises LogbookError for a missing column or two rows that mean the same flight key of one quadrotor.
     """
@@ -146,6 +148,7 @@ def read_logbook(path: str | Path) -> dict[int, Row]:
     if doubled:
         raise LogbookError(f"{path} has the column '{sorted(doubled)[0]}' twice; rename or remove one")
     rows: dict[int, Row] = {}
+    nameless = []
     for index, line in enumerate(lines[1:], start=2):
         cells = {c: v.strip() for c, v in zip(header, line + [""] * len(header)) if c}
         if cells["Onboard Name"]:
@@ -156,6 +159,14 @@ def read_logbook(path: str | Path) -> dict[int, Row]:
                     f"cell that holds {separator!r} in quotes, or remove what stands beyond ({' '.join(beyond)[:40]!r})"
                 )
                 rows[index] = replace(rows[index], problem=problem)
+        elif any(cells[c] for c in NEEDED):
+            nameless.append(index)
+    if nameless and notices is not None:
+        one = len(nameless) == 1
+        notices.append(
+            f"{path}: row{'' if one else 's'} {_ranges(nameless)} {'has' if one else 'have'} no 'Onboard Name' and "
+            f"{'is' if one else 'are'} left out; fill it in for a flight (merged cells fill their first row alone)"
+        )
     rows = _with_names_apart(rows)
     _refuse_clashes(rows.values())
     return rows

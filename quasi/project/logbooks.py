@@ -37,10 +37,13 @@ class Logbooks:
 
     @functools.cache  # noqa: B019
     def _rows_of(self, path: Path) -> dict[int, Row]:
+        notices: list[str] = []
         try:
-            return read_logbook(self.places.here(path))
+            rows = read_logbook(self.places.here(path), notices)
         except QuasiError as error:
             raise type(error)(str(error).replace(str(self.places.here(path)), str(path))) from None
+        self.places.notices += [n.replace(str(self.places.here(path)), str(path)) for n in notices]
+        return rows
 
     @staticmethod
     def _logbook_path(directory: str, filename: str) -> Path:

@@ -83,6 +83,13 @@ def test_a_sound_folder_is_ready_and_an_untouched_gap_disturbs_nothing(lab, caps
     assert "gap my_gap" in lines[-1]
 
 
+def test_a_row_without_a_log_is_named(lab, capsys):
+    path = lab / "data/logbook.csv"
+    path.write_text(path.read_text() + "Lab,,data/raw,table,my_quadrotor,data,N,,,,433\n")
+    assert main(["check", str(lab)]) == 0
+    assert "\n- data/logbook.csv: row 5 has no 'Onboard Name' and is left out; fill it in" in capsys.readouterr().out
+
+
 def test_position_or_velocity_is_needed_by_a_training_flight_only_where_none_has_it(lab, monkeypatch):
     log(lab / "data/raw/a.csv", *IMU, *ROTORS)
     asked, found = inspected(lab, monkeypatch)

@@ -29,6 +29,16 @@ def test_rows_are_numbered_as_a_spreadsheet_shows_them(tmp_path):
     assert {n: r.key for n, r in book.items()} == {2: "a", 4: "b"}
 
 
+def test_a_row_without_a_log_that_looks_like_a_flight_is_named(tmp_path):
+    lost = [flight("", **{"Flight controller": ""}), {"Comments": "calm"}, flight("b"), flight(""), flight("")]
+    path, notices = write(tmp_path / "log.csv", flight("a"), *lost), []
+    assert {n: r.key for n, r in read_logbook(path, notices).items()} == {2: "a", 5: "b"}
+    assert len(notices) == 1
+    assert notices[0].startswith(f"{path}: rows 3, 6-7 have no 'Onboard Name' and are left out; fill it in")
+    path, notices = write(tmp_path / "log.csv", flight("a"), {"Comments": "calm"}), []
+    assert read_logbook(path, notices) and not notices
+
+
 def test_a_flight_is_described_by_its_row_as_the_logbook_reads_now(tmp_path):
     path = write(tmp_path / "log.csv", flight("a"), flight("b", Comments="a gust", Mass=433))
     about = describe_row(path, "Beetle", "b")
