@@ -42,6 +42,9 @@ OPTIONAL = (
     "Log number",
     "Session",
 )
+# columns of the manual that are kept, but that no stage reads
+_UNREAD = ("Flight ID", "OB row skip", "OB num columns", "Indoor or Outdoor", "Mode", "Video", "Video Path", "Comments")
+_READ = tuple(c for c in (*NEEDED, *OPTIONAL) if c not in _UNREAD)
 VALID_NAME = re.compile(rf"[A-Za-z0-9_+-][A-Za-z0-9._+-]{{0,{MAX_NAME_CHARACTERS - 1}}}")
 _ROWS = re.compile(r"\s*([0-9]{1,9})\s*(?:-\s*([0-9]{1,9})\s*)?")  # digits enough for any logbook
 _SEPARATOR_LINE = re.compile(r'"?sep=.?"?[ ,;\t]*\r?\n', re.IGNORECASE)  # for spreadsheets alone
@@ -81,6 +84,10 @@ class Row:
     def has(self, column: str) -> bool:
         """The cell says yes."""
         return self.cells.get(column, "").strip().lower() in YES
+
+    def read_cells(self) -> dict[str, str]:
+        """The cells that stages read, those that are filled."""
+        return {c: text for c in _READ if (text := self.cells.get(c, ""))}
 
     def number_in(self, column: str) -> float | None:
         """The cell as a number; None when empty. Raises LogbookError when it is text."""

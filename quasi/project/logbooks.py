@@ -78,7 +78,7 @@ class Logbooks:
         for book in books.values():
             for row in book.values():
                 other = found.setdefault((row.quadrotor, row.key), row)
-                if other.logbook != row.logbook and other.cells != row.cells:
+                if other.logbook != row.logbook and other.read_cells() != row.read_cells():
                     raise LogbookError(
                         f"{other.logbook} row {other.number} and {row.logbook} row {row.number} both mean flight "
                         f"'{row.key}' of {row.quadrotor}; {apart(row, other)}"

@@ -5,7 +5,7 @@ import shutil
 from pathlib import Path
 
 import pytest
-from three_flights import HEADER, ROOT, edit, lay_folder
+from three_flights import HEADER, ROOT, edit, edit_model, lay_folder
 
 from quasi.command import main
 from quasi.errors import ConfigError, LogbookError
@@ -138,6 +138,26 @@ def test_processing_an_empty_logbook_says_what_to_add(folder):
     (folder / "data/log.csv").write_text(HEADER + "\n")
     with pytest.raises(LogbookError, match="holds no flights yet; add one row"):
         Folder(folder).logbooks.processing_flights()
+
+
+@pytest.mark.parametrize(
+    ("header", "cells", "alike"),
+    [
+        (",Comments,Weather", ",calm,rain", True),
+        (",Video,Flight ID,Comments", ",a.mp4,7,", True),
+        (",Session", ",monday", False),
+        (",Has OJF data,Static wind (m/s)", ",,3", False),
+    ],
+)
+def test_a_flight_of_two_logbooks_may_differ_in_cells_that_nothing_reads(folder, header, cells, alike):
+    text = (folder / "data/log.csv").read_text().splitlines()
+    (folder / "data/other.csv").write_text("\n".join([text[0] + header, *[line + cells for line in text[1:]]]) + "\n")
+    edit_model(folder, logging_file={"filename": "other"})
+    if alike:
+        assert Folder(folder).recordings.importing("Beetle", "a")["problem"] is None
+    else:
+        with pytest.raises(LogbookError, match=r"log.csv row 2 and .*other.csv row 2 both mean flight 'a'"):
+            Folder(folder).recordings.importing("Beetle", "a")
 
 
 def test_one_quadrotor_configuration_is_one_however_it_is_written(folder):
