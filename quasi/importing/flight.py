@@ -53,7 +53,8 @@ def import_flight(
     """One flight on a uniform grid, and how it was made.
 
     flight     "flight" (key), "quadrotor", "flight controller", "rigid body", "onboard" (path), "capture" (path or
-               None), "log number" (or None), "wind" (see `wind.add_wind`; absent in still air)
+               None), "log number" (or None), "wind" (see `wind.add_wind`; absent in still air), "unread" (sentences
+               on files that the logbook names in vain; absent without)
     quadrotor  its configuration (the manual's listing 1 and our keys)
     options    "data importing" of the processing configuration; other keys are ignored
     calibration  of the sensors, applied to the raw streams (see `quasi.importing.calibration`); None for none
@@ -68,6 +69,8 @@ def import_flight(
     if not 10.0 <= rate <= 8000.0:
         raise ConfigError(f"'resampling rate' is {rate:g} Hz, expected 10 to 8000")
     notes: list[str] = []
+    for sentence in flight.get("unread", ()):
+        add_caution(notes, sentence)
     poles, poles_source = motor_poles(quadrotor)
     recording = read_onboard(flight, quadrotor, poles)
     recording.metadata["sha256"] = sha256_of(flight["onboard"])

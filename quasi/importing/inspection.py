@@ -56,7 +56,11 @@ def empty_result(settings: Mapping[str, Any]) -> dict[str, Any]:
     """The result of inspect_flight before any file is read."""
     flight = settings["flight"]
     found: dict[str, Any] = {"schema": SCHEMA, "flight": flight["flight"], "quadrotor": flight["quadrotor"]}
-    return found | {"problem": settings["problem"], "onboard": None, "capture": None, "holds": {}, "remarks": []}
+    return (
+        found
+        | {"problem": settings["problem"], "onboard": None, "capture": None, "holds": {}}
+        | {"remarks": list(flight.get("unread", ()))}
+    )
 
 
 def inspect_flight(settings: Mapping[str, Any]) -> dict[str, Any]:

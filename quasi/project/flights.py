@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from quasi.airframe import read_airframe
-from quasi.errors import ConfigError, LogbookError, QuasiError, nearest
+from quasi.errors import ConfigError, LogbookError, QuasiError, nearest, quoted
 from quasi.project.configurations import Configurations
 from quasi.project.folder import Places, is_file, with_suffix
 from quasi.project.logbook import Row
@@ -54,6 +54,9 @@ GAP_KEYS = (*IDENTIFICATION, "optitrack marker cg offset")
 
 LIGHTEST, HEAVIEST = 0.005, 100.0  # kg: outside lies a slip of unit, not a quadrotor
 
+# flag: the column that names the file which is read where the flag says yes
+FLAGGED = {"Has OT data": "Raw OptiTrack Name", "Has OJF data": "OJF name"}
+
 
 class Recordings:
     """Where each row's raw files lie, and the settings of import and filter."""
@@ -87,6 +90,15 @@ class Recordings:
                 capture, missing = self._find(row, "Raw OT Path", "Raw OptiTrack Name", CAPTURE_SUFFIXES)
                 problem = problem or (missing and f"{at}: {missing}")
         return {"onboard": onboard, "capture": capture, "problem": row.problem or problem}
+
+    def _unread_files(self, row: Row) -> list[str]:
+        """A sentence on each file that a row names while the flag by which it is read is empty."""
+        return [
+            f"{row.key}: {row.logbook} row {row.number} names {quoted(row.cells[name])} in '{name}', which is not read "
+            f"because '{flag}' is empty; write Y there, or N to leave it out"
+            for flag, name in FLAGGED.items()
+            if row.cells.get(name) and not row.cells.get(flag)
+        ]
 
     def controller(self, row: Row) -> str:
         """A flight controller of `recognition.CONTROLLERS`: the logbook's cell, else the quadrotor configuration's."""
@@ -244,6 +256,7 @@ class Recordings:
         raw, part = self.raw(row), self.quadrotor_part(row, IMPORTING)
         log_number = row.cells.get("Log number", "")
         wind, wind_problem = self.wind(row)
+        unread = self._unread_files(row)
         return {
             "flight": {
                 "flight": row.key,
@@ -254,7 +267,8 @@ class Recordings:
                 "capture": raw["capture"],
                 "log number": int(log_number) if log_number.isdigit() else None,
             }
-            | ({"wind": wind} if wind else {}),
+            | ({"wind": wind} if wind else {})
+            | ({"unread": unread} if unread else {}),
             "quadrotor": part["quadrotor"],
             "options": self.configuration.processing["data importing"],
             "problem": part["problem"] or raw["problem"] or wind_problem,

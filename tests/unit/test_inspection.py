@@ -9,6 +9,7 @@ import pytest
 from made_lab import IMU, PLACE, ROTORS, edit, lay_lab, log
 
 from quasi.command import main
+from quasi.errors import cautions
 from quasi.importing import inspection
 from quasi.importing.flight import import_flight
 from quasi.importing.inspection import Inspector, inspect_flight, refusals, usable_for
@@ -88,6 +89,20 @@ def test_a_row_without_a_log_is_named(lab, capsys):
     path.write_text(path.read_text() + "Lab,,data/raw,table,my_quadrotor,data,N,,,,433\n")
     assert main(["check", str(lab)]) == 0
     assert "\n- data/logbook.csv: row 5 has no 'Onboard Name' and is left out; fill it in" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(("flag", "read"), [("", True), ("N", False)])
+def test_a_capture_whose_flag_is_empty_calls_for_care(lab, monkeypatch, capsys, flag, read):
+    path = lab / "data/logbook.csv"
+    path.write_text(path.read_text().replace("c,data/raw,table,my_quadrotor,data,N,,,",
+                                             f"c,data/raw,table,my_quadrotor,data,{flag},c_ot,data/raw,"))  # fmt: skip
+    sentence = "row 4 names 'c_ot' in 'Raw OptiTrack Name', which is not read because 'Has OT data' is empty; write Y"
+    main(["check", str(lab)])
+    assert (f"- c: data/logbook.csv {sentence}" in capsys.readouterr().out) is read
+    monkeypatch.chdir(lab)
+    settings = Folder(".").recordings.importing("Lab", "c")
+    _, about = import_flight(settings["flight"], settings["quadrotor"], settings["options"])
+    assert any(sentence in note for note in cautions(about["notes"])) is read
 
 
 def test_position_or_velocity_is_needed_by_a_training_flight_only_where_none_has_it(lab, monkeypatch):

@@ -319,6 +319,14 @@ def test_still_air_adds_nothing_to_the_settings_of_a_flight(tmp_path):
     assert settings["problem"] is None
 
 
+@pytest.mark.parametrize("static", ["", "3"])
+def test_a_wind_record_whose_flag_is_empty_calls_for_care(tmp_path, static):
+    settings = project(tmp_path, **{"Has OJF data": "", "OJF name": "tunnel", "Static wind (m/s)": static})
+    assert settings["problem"] is None and len(settings["flight"]["unread"]) == 1
+    words = "row 2 names 'tunnel' in 'OJF name', which is not read because 'Has OJF data' is empty; write Y"
+    assert words in settings["flight"]["unread"][0]
+
+
 def test_the_logbook_row_hands_its_wind_on(tmp_path):
     settings = project(
         tmp_path,
