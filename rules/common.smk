@@ -176,7 +176,7 @@ if _IOFile is not None:
 for key, value in ask(read_settings, "config/config.yaml").items():
     config.setdefault(key, value)
 
-FOLDER = Folder(".", data=config.get("data"), library=LIBRARY)
+FOLDER = ask(Folder, ".", config.get("data"), LIBRARY)
 CHECKSUMS = Checksums(".snakemake/quasi/checksums.json")
 if MAIN:
     atexit.register(CHECKSUMS.save)

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from quasi.errors import ConfigError, nearest, quoted
-from quasi.project.folder import Places, is_file
+from quasi.project.folder import Places, braced, is_file
 from quasi.project.logbook import NAME_RULE, VALID_NAME
 from quasi.project.misplaced_files import misplaced_files
 from quasi.tables import read_json, read_text
@@ -167,6 +167,8 @@ class Configurations:
         """Raises ConfigError for causes that do not exist, as far as that shows without running a user's files."""
         wanted, own = settings["effects"], settings["effect files"]
         for file in own:
+            if fault := braced(self.places.place(file)):
+                raise ConfigError(f"{path}, 'effect files': {fault}")
             if not is_file(self.places.here(self.places.place(file))):
                 found = "is a folder" if Path(self.places.here(self.places.place(file))).is_dir() else "does not exist"
                 raise ConfigError(

@@ -9,7 +9,7 @@ from typing import Any
 from quasi.airframe import read_airframe
 from quasi.errors import ConfigError, LogbookError, QuasiError, nearest, quoted
 from quasi.project.configurations import Configurations
-from quasi.project.folder import Places, is_file, with_suffix
+from quasi.project.folder import Places, braced, is_file, with_suffix
 from quasi.project.logbook import Row
 from quasi.project.logbooks import Logbooks
 from quasi.project.recognition import CONTROLLERS, HEAD_SIZE, recognise
@@ -142,6 +142,8 @@ class Recordings:
     def _find(self, row: Row, folder: str, name: str, suffixes: tuple[str, ...]) -> tuple[str | None, str | None]:
         """Path of a raw file, or None and what is wrong, which names neither logbook nor row."""
         base = self.places.place(row.cells.get(folder, "")) / row.cells[name]
+        if fault := braced(base):
+            return None, f"{row.logbook} row {row.number}, '{folder}' and '{name}': {fault}"
         if base.suffix in suffixes:
             candidates = [base]
         else:

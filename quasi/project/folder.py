@@ -36,6 +36,13 @@ def given_model_path(name: str) -> str:
     return f"models/./{name}/standalone/model.json"
 
 
+def braced(path: str | Path) -> str | None:
+    """Why a path cannot be one of a run, with the remedy; None where it can: Snakemake reads braces as wildcards."""
+    if not {"{", "}"} & {*str(path)}:
+        return None
+    return f"the path {path} holds a brace, which Snakemake reads as a wildcard; rename the folder or file"
+
+
 def check_writable(folder: str | Path) -> None:
     """Raise ConfigError for a project folder into which, or into whose folders of results, nothing can be written."""
     for place in (Path(folder), *(Path(folder) / made for made in MADE)):
@@ -49,8 +56,10 @@ def check_writable(folder: str | Path) -> None:
 
 
 def check_project(folder: str | Path) -> None:
-    """Raise ConfigError for a folder that is no project's, as a slip in what -d names gives."""
+    """Raise ConfigError for a folder that is no project's, as a slip in what -d names gives, or that no run can use."""
     place = Path(folder).absolute()
+    if fault := braced(place):
+        raise ConfigError(f"project folder: {fault}")
     if any((place / name).is_dir() for name in ("config", "models")):
         return
     found = "holds neither config/ nor models/"
@@ -92,6 +101,8 @@ class Places:
     def __init__(self, root: str | Path = ".", data: str | Path | None = None, library: str | Path | None = None):
         self.root = Path(root)
         self.data = str(data) if data else None
+        if self.data and (fault := braced(self.data)):
+            raise ConfigError(f"'data' of --config or config/config.yaml: {fault}")
         self.library = Path(library) if library else Path(__file__).parents[2]
         self.notices: list[str] = []
 

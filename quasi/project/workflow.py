@@ -13,7 +13,7 @@ from typing import Any
 from quasi.errors import ConfigError, QuasiError, nearest
 from quasi.project.configurations import Configurations
 from quasi.project.flights import GAP_KEYS, Recordings
-from quasi.project.folder import Places, given_model_path, is_file
+from quasi.project.folder import Places, braced, given_model_path, is_file
 from quasi.project.gaps import HELD, Gaps
 from quasi.project.logbook import Row
 from quasi.project.logbooks import Logbooks
@@ -56,6 +56,8 @@ class Folder:
         model = chosen["model ID"]
         folder = self.places.place(chosen["model path"]) / model
         path, given = folder / "standalone" / "model.json", None
+        if fault := braced(path):
+            raise ConfigError(f"{where}, 'model path': {fault}")
         if is_file(self.places.here(folder / "model.json")):
             path = folder / "model.json"
         elif (
@@ -80,6 +82,8 @@ class Folder:
         tables = {"wind": settings["wind"]["file"], "reference": settings["references"].get("file")}
         found = {kind: str(self.places.place(file)) if file else None for kind, file in tables.items()}
         for kind, file in found.items():
+            if file and (fault := braced(file)):
+                raise ConfigError(f"{where}, the {kind}'s 'file': {fault}")
             if file and not is_file(self.places.here(file)):
                 raise ConfigError(f"{where}: the {kind}'s table {file} does not exist; correct 'file', or put it there")
         return {"name": name, "settings": settings, "model": given or path.as_posix(), **found}

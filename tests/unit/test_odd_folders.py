@@ -1,5 +1,6 @@
 """Project folders with odd names, CRLF line ends, or in another place: the same jobs and the same numbers."""
 
+import json
 import shutil
 
 import numpy as np
@@ -8,6 +9,8 @@ from reader_round_trips import ROUND_TRIPS
 from test_workflow import edit, folder  # noqa: F401
 
 from quasi import tables
+from quasi.command import main
+from quasi.errors import ConfigError
 from quasi.project.folder import check_project
 from quasi.project.workflow import Folder
 from quasi.running.checksums import Checksums
@@ -69,3 +72,39 @@ def test_tables_and_documents_in_odd_folders_come_back(tmp_path, name):
     assert tables.read_json(place / "a b.json") == {"name": name}
     tables.write_text(place / "t.csv", "t,u\r\n0,1\r\n1,2\r\n")
     assert tables.read_numbers(place / "t.csv")["u"].tolist() == [1.0, 2.0]
+
+
+def check_refuses(place, capsys, *words, options=()):
+    assert main(["check", str(place), *options]) != 0
+    shown = capsys.readouterr()
+    for word in (*words, "holds a brace, which Snakemake reads as a wildcard; rename the folder"):
+        assert word in shown.out + shown.err
+
+
+@pytest.mark.parametrize("name", ["fl{a}t", "{", "b}"])
+def test_braces_in_a_path_of_recordings_are_refused_for_their_row(folder, capsys, name):  # noqa: F811
+    (folder / "data/raw").rename(folder / "data" / name)
+    edit(folder, "Beetle,b,data/raw", f"Beetle,b,data/{name}")
+    problem = Folder(folder).recordings.importing("Beetle", "b")
+    assert problem["flight"]["onboard"] is None
+    check_refuses(folder, capsys, f"row 3, 'OB Path' and 'Onboard Name': the path data/{name}/b holds")
+
+
+def test_braces_in_the_place_of_data_are_refused(folder, capsys):  # noqa: F811
+    words = "'data' of --config or config/config.yaml: the path /mnt/{a} holds"
+    check_refuses(folder, capsys, words, options=["--data", "/mnt/{a}"])
+    (folder / "config/config.yaml").write_text("data: /mnt/{a}\n")
+    check_refuses(folder, capsys, words)
+
+
+def test_braces_in_the_place_of_the_project_are_refused(folder, capsys):  # noqa: F811
+    place = folder.rename(folder.with_name("lab {2026}"))
+    check_refuses(place, capsys, f"project folder: the path {place} holds")
+
+
+def test_braces_in_the_files_of_a_simulation_are_refused(folder):  # noqa: F811
+    for change in ({"wind": {"file": "data/{w}.csv"}}, {"model": {"model ID": "m", "model path": "mo{d}els"}}):
+        (folder / "config/simulations").mkdir(exist_ok=True)
+        (folder / "config/simulations/s.json").write_text(json.dumps({"model": {"model ID": "m"}, **change}))
+        with pytest.raises(ConfigError, match="config/simulations/s.json, .* holds a brace"):
+            Folder(folder).simulation("s")
