@@ -17,7 +17,12 @@ from quasi.running.job_log import RUN_VARIABLE, read_reports
 from quasi.running.job_server import JobServer, use_server
 from quasi.pages.index import INDEX_TARGET, list_sources, write_index
 from quasi.running.provenance import compute_code_digest, save_parsed
-from quasi.project.folder import check_project, check_writable, read_settings
+from quasi.project.folder import (
+    check_project,
+    check_settings,
+    check_writable,
+    read_settings,
+)
 from quasi.running.checksums import Checksums, read_once
 from quasi.running.failed_jobs import mark_incomplete
 from quasi.running.folder_contents import remember_contents
@@ -172,6 +177,7 @@ if _IOFile is not None:
     mark_incomplete(Job)
     remember_contents(Job, is_flagged, lambda notice: announce(notice))
 
+ask(check_settings, list(config), "--config or --configfile")
 # what the command line gives (--config) comes before the folder's own file
 for key, value in ask(read_settings, "config/config.yaml").items():
     config.setdefault(key, value)

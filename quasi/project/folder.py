@@ -1,18 +1,21 @@
 """A project folder: whether it is one, its settings, and the paths in it."""
 
 import os
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
 import yaml
 
-from quasi.errors import ConfigError, ReadError
+from quasi.errors import ConfigError, ReadError, nearest, quoted
 from quasi.input_limits import MAX_YAML_BYTES
 from quasi.project import configuration
 from quasi.project.misplaced_files import misplaced_files
 from quasi.tables import read_text
 
 MADE = ("results", "models", "logs")  # folders that runs write into
+
+SETTINGS = ("data",)  # keys of config/config.yaml and --config
 
 
 def with_suffix(path: Path, suffix: str) -> Path:
@@ -88,7 +91,15 @@ def read_settings(path: str | Path) -> dict[str, Any]:
         return {}
     if not isinstance(settings, dict) or not isinstance(settings.get("data", ""), str):
         raise ConfigError(f"{path}: expected `data: /path/to/recordings`; correct it, or leave only comments")
+    check_settings(settings, str(path))
     return settings
+
+
+def check_settings(keys: Iterable[Any], where: str) -> None:
+    """Raise ConfigError for a setting that nothing reads. where  the file or option that gives it, for messages"""
+    for key in keys:
+        if key not in SETTINGS:
+            raise ConfigError(f"{where}: unknown key {quoted(key)}{nearest(str(key), SETTINGS)}; correct or remove it")
 
 
 class Places:

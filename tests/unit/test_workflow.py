@@ -9,7 +9,7 @@ from three_flights import HEADER, ROOT, edit, edit_model, lay_folder
 
 from quasi.command import main
 from quasi.errors import ConfigError, LogbookError
-from quasi.project.folder import check_project, check_writable, read_settings
+from quasi.project.folder import check_project, check_settings, check_writable, read_settings
 from quasi.project.workflow import Folder
 
 
@@ -204,6 +204,26 @@ def test_faulty_settings_of_snakemake_name_the_file(tmp_path, text, words):
     (tmp_path / "config.yaml").write_text(text)
     with pytest.raises(ConfigError, match=f"config.yaml.*{words}"):
         read_settings(tmp_path / "config.yaml")
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("Data: /x\n", "unknown key 'Data' (did you mean 'data'?); correct or remove it"),
+        ("data: /x\ndta: /y\n", "unknown key 'dta' (did you mean 'data'?)"),
+        ("cores: 4\n", "unknown key 'cores' (known are 'data')"),
+        ("7: 4\n", "unknown key '7'"),
+    ],
+)
+def test_settings_that_nothing_reads_are_refused(tmp_path, text, words):
+    path = tmp_path / "config.yaml"
+    path.write_text(text)
+    with pytest.raises(ConfigError) as error:
+        read_settings(path)
+    assert str(error.value).startswith(f"{path}: {words}")
+    check_settings(["data"], "--config")
+    with pytest.raises(ConfigError, match="--config: unknown key 'dta'"):
+        check_settings(["dta"], "--config")
 
 
 @pytest.mark.parametrize(
