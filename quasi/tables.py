@@ -224,8 +224,9 @@ def read_numbers(path: str | Path) -> pd.DataFrame:
         values = pd.to_numeric(table[name], errors="coerce")
         bad = np.flatnonzero(values.isna() & table[name].notna())
         if len(bad):
+            lines = [n for n, line in enumerate(io.StringIO(text, newline=None), 1) if line.strip()]  # as pandas
             raise DataError(
-                f"{path}, column '{name}', line {bad[0] + 2}: {str(table[name].iloc[bad[0]])[:40]!r} is no number; "
+                f"{path}, column '{name}', line {lines[bad[0] + 1]}: {str(table[name].iloc[bad[0]])[:40]!r} is no number; "
                 "correct it"
             )
         table[name] = values

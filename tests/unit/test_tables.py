@@ -114,6 +114,14 @@ def test_a_csv_as_spreadsheets_write_it_where_the_comma_is_the_decimal_sign_is_r
         read_numbers(tmp_path / "wind.csv")
 
 
+@pytest.mark.parametrize("end", ["\n", "\r\n"])
+def test_empty_lines_count_in_the_line_of_a_fault(tmp_path, end):
+    for text, line in (("t,speed\n\n\n0,1\n1,abc\n", 5), ("\nt,speed\n  \n0,abc\n\n", 4), ("t;x\n0;a\n", 2)):
+        (tmp_path / "wind.csv").write_bytes(text.replace("\n", end).encode())
+        with pytest.raises(DataError, match=f", line {line}: 'a"):
+            read_numbers(tmp_path / "wind.csv")
+
+
 def test_a_damaged_result_is_not_copied_on_and_is_named_itself(tmp_path):
     source, target = tmp_path / "filtered.parquet", tmp_path / "copy.parquet"
     write_table(source, pd.DataFrame({"t": np.arange(50.0)}))
