@@ -226,8 +226,8 @@ def read_numbers(path: str | Path) -> pd.DataFrame:
         if len(bad):
             lines = [n for n, line in enumerate(io.StringIO(text, newline=None), 1) if line.strip()]  # as pandas
             raise DataError(
-                f"{path}, column '{name}', line {lines[bad[0] + 1]}: {str(table[name].iloc[bad[0]])[:40]!r} is no number; "
-                "correct it"
+                f"{path}, column '{name}', line {lines[bad[0] + 1]}: {str(table[name].iloc[bad[0]])[:40]!r} is no "
+                "number; correct it"
             )
         table[name] = values
     return table
