@@ -1,6 +1,7 @@
 """Commands about recordings: a folder for them, what they hold, decoded logs, clocks, noise at rest."""
 
 import argparse
+import codecs
 import json
 from collections.abc import Sequence
 from pathlib import Path
@@ -141,7 +142,7 @@ def noise_at_rest(
     from quasi.filtering.noise_statistics import EULER_ANGLES, RestLog, noise_statistics, section
     from quasi.importing.rest import read_rest
     from quasi.project.configuration import check, read, with_section
-    from quasi.tables import read_bytes, write_bytes
+    from quasi.tables import read_unpacked, write_bytes
 
     configuration, _ = read(quadrotor, "quadrotor")
     rests = {str(path): read_rest(path, configuration, rigid_body, log_number) for path in logs}
@@ -162,12 +163,19 @@ def noise_at_rest(
     lines += [f"note: {note}" for note in [*notes, *found.notes]]
     if not write:
         return "\n".join([*lines, f"{quadrotor} is unchanged; --write writes them there"])
-    data = bytes(read_bytes(quadrotor))
-    try:
-        text, encoding = data.decode("utf-8"), "utf-8"
-    except UnicodeDecodeError:
-        text, encoding = data.decode("latin-1"), "latin-1"
+    text, encoding = _decoded(bytes(read_unpacked(quadrotor)))
     text = with_section(text, "(estimated) imu sensor noise statistics", section(found))
     check(json.loads(text.removeprefix("\ufeff")), "quadrotor", str(quadrotor))
     write_bytes(quadrotor, text.encode(encoding))
     return "\n".join([*lines, f"wrote them into {quadrotor}"])
+
+
+def _decoded(data: bytes) -> tuple[str, str]:
+    """Text that `read_text` would read, a byte order mark kept, and the encoding that writes the same bytes."""
+    for mark, encoding in ((codecs.BOM_UTF16_LE, "utf-16-le"), (codecs.BOM_UTF16_BE, "utf-16-be"), (b"", "utf-8")):
+        if data.startswith(mark):
+            try:
+                return data.decode(encoding), encoding
+            except UnicodeDecodeError:
+                break
+    return data.decode("latin-1"), "latin-1"

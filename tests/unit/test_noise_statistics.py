@@ -136,6 +136,20 @@ def test_made_rest_log_through_the_real_reader(made, capsys):
     assert written[KEY]["az"]["mean"] == pytest.approx(-9.81, abs=0.02)
 
 
+@pytest.mark.parametrize(
+    ("encoding", "mark"),
+    [("utf-16-le", "\ufeff"), ("utf-16-be", "\ufeff"), ("utf-8", "\ufeff"), ("utf-8", ""), ("latin-1", "")],
+)
+def test_the_configuration_keeps_its_encoding(made, tmp_path, encoding, mark):
+    folder, configuration, _ = made
+    text = mark + json.dumps({**configuration, "// note": "caf\u00e9"}, indent=2, ensure_ascii=False)
+    (tmp_path / "q.json").write_bytes(text.encode(encoding))
+    assert command.main(["noise", str(tmp_path / "q.json"), str(folder / "rest.bbl"), "--write"]) == 0
+    written = (tmp_path / "q.json").read_bytes().decode(encoding)
+    assert written.startswith(mark + "{") and "caf\u00e9" in written and written != text
+    assert json.loads(written.removeprefix(mark))[KEY]["az"]["std"] > 0
+
+
 def test_a_flight_is_no_rest_and_leaves_the_configuration_alone(made, capsys):
     folder = made[0]
     text = (folder / "made.json").read_text()
