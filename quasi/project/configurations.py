@@ -100,7 +100,10 @@ class Configurations:
     def campaign(self, name: str) -> dict[str, Any]:
         """config/synthesis/<name>.json, checked, with defaults. Raises ConfigError."""
         if name not in self.campaigns:
-            raise ConfigError(f"config/synthesis/{name}.json does not exist{nearest(name, self.campaigns)}")
+            raise ConfigError(
+                f"config/synthesis/{name}.json does not exist{nearest(name, self.campaigns)}; put it back, or move its "
+                f"flights from results/synthesis/{name} into data/ and correct the paths in the logbook"
+            )
         return self.places.read(f"config/synthesis/{name}.json", "synthesis")
 
     @functools.cache  # noqa: B019

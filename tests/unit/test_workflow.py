@@ -160,6 +160,14 @@ def test_a_flight_of_two_logbooks_may_differ_in_cells_that_nothing_reads(folder,
             Folder(folder).recordings.importing("Beetle", "a")
 
 
+def test_a_campaign_that_was_removed_says_what_to_do_with_its_flights(folder):
+    (folder / "config/synthesis").mkdir(exist_ok=True)
+    with pytest.raises(ConfigError) as error:
+        Folder(folder).configuration.made_flight("gone", "a")
+    assert "config/synthesis/gone.json does not exist" in str(error.value)
+    assert "put it back, or move its flights from results/synthesis/gone into data/" in str(error.value)
+
+
 def test_one_quadrotor_configuration_is_one_however_it_is_written(folder):
     edit(
         folder,
