@@ -14,7 +14,8 @@ from quasi.gap.flights.evidence import Evidence
 from quasi.gap.levels.forces.error_reduction import Squares, after, before, wrench_squares
 from quasi.gap.levels.forces.nuisance import nuisances
 from quasi.gap.levels.rollouts import error_reduction
-from quasi.gap.levels.rollouts.open_loop import WITH_COMMANDS, WITH_TRIM, WITHOUT_TRIM, fell, rms
+from quasi.gap.levels.rollouts.open_loop import MOVED_BY, WITH_COMMANDS, WITH_TRIM, WITHOUT_TRIM, fell, rms
+from quasi.gap.materiality import Cause, seen_in
 from quasi.gap.statistics import blocks
 from quasi.model.model import AXES, Model
 
@@ -49,6 +50,84 @@ class Loss(NamedTuple):
         where = f"after {self.horizon:g} s of simulation" if self.horizon else "on the held-out flights"
         name = f"the speed of rotor {self.quantity[1:]}" if self.line == DRIVE_LINE else self.quantity
         return f"the error of {name} {where} grows from {self.before:.3g} to {self.after:.3g}"
+
+
+def reject_losing_causes(
+    causes: Sequence[Cause], made: Callable[[Sequence[Cause]], Model], judge: Callable[[Model], list[Loss]],
+    errors: Callable[[Model], np.ndarray] = lambda model: np.ones(len(AXES)),
+) -> tuple[list[Cause], list[tuple[Cause, Loss]], list[Loss]]:  # fmt: skip
+    """Causes that stand, those rejected with what they made worse, and the losses that no rejection ends.
+
+    made  causes -> extended model; judge  extended model -> its losses; errors  extended model -> root mean square of
+    what it leaves of the held-out flights' forces and moments (6,)
+    A cause that makes an axis of force or moment better by a larger factor than anything worse is none that is not
+    there: its form errs, the loss limits the verdict, and the name stands.
+    A loss that the model has without any cause (its own terms fitted anew) is no cause's fault, nor is one of trim,
+    nor one of forces or of a simulation without trim beyond the axes of the causes: there another trim turns a gain of
+    one axis into a loss of another. One cause after another is left out, each time the one without which the
+    largest loss is smallest.
+    """
+    kept, rejected = list(causes), []
+    found = judge(made(kept))
+    if not found:
+        return kept, rejected, found
+    anyway = {loss[:3]: loss.after for loss in judge(made([]))}
+
+    axes = {axis for cause in causes for axis in cause.effect.channels}
+    moved = axes | {MOVED_BY[axis] for axis in axes if axis in MOVED_BY}
+
+    def alone(quantity: str) -> bool:
+        """Whether some cause acts on this axis of a vector and on no other axis of it."""
+        kinds = [[axis if quantity in AXES else MOVED_BY[axis] for axis in c.effect.channels] for c in causes]
+        first = quantity[0] if quantity in AXES else quantity.split()[0]
+        return any([axis for axis in own if axis.startswith(first)] == [quantity] for own in kinds)
+
+    def own(losses_: Sequence[Loss]) -> list[Loss]:
+        return [
+            loss
+            for loss in losses_
+            if not loss.of_trim
+            and not (loss.one_axis and not alone(loss.quantity))
+            and loss.after > (1.0 + OWN_LOSS) * anyway.get(loss[:3], 0.0)
+            and (loss.line not in (WITHOUT_TRIM, FORCES_LINE) or loss.quantity in moved)
+        ]
+
+    while own(found) and kept:
+        whole, factor = errors(made(kept)), 1.0 + own(found)[0].growth
+        trials = [[c for c in kept if c is not cause] for cause in kept]
+        trials = [t for t in trials if np.max(errors(made(t)) / np.maximum(whole, 1e-300)) < factor]
+        if not trials:
+            break
+        outcomes = [judge(made(trial)) for trial in trials]
+        worst = [max((loss.growth for loss in own(outcome)), default=0.0) for outcome in outcomes]
+        best = int(np.argmin(worst))
+        if worst[best] >= own(found)[0].growth:
+            break
+        [gone] = [c for c in kept if not any(c is other for other in trials[best])]
+        rejected.append((gone, own(found)[0]))
+        kept, found = trials[best], outcomes[best]
+    return kept, rejected, found
+
+
+def correcting_others(
+    causes: Sequence[Cause], made: Callable[[Sequence[Cause]], Model], errors: Callable[[Model], np.ndarray]
+) -> list[Cause]:
+    """Causes that leave the axes where they act no better than these are without any cause, the weakest first: they
+    correct the form of another, which makes these axes worse. The strongest one is no such.
+
+    made  causes -> extended model; errors  extended model -> root mean square of what it leaves of the held-out
+    flights' forces and moments (6,)
+    """
+    kept, first = sorted(causes, key=lambda c: -c.test.wald), np.maximum(errors(made([])), 1e-300)
+    gone = []
+    while len(kept) > 1:
+        grown = np.log(np.maximum(errors(made(kept)), 1e-300) / first)
+        poor = [c for c in kept[1:] if grown[seen_in(c.effect)].sum() >= 0.0]
+        if not poor:
+            break
+        gone.append(poor[-1])
+        kept.remove(poor[-1])
+    return gone
 
 
 def drive_losses(gap: Mapping[str, Any]) -> list[Loss]:

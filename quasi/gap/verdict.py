@@ -19,21 +19,21 @@ from quasi.gap.flights.covariates import EVERYWHERE
 from quasi.gap.levels.forces import unexplained
 from quasi.gap.levels.forces.beyond_references import left_beyond_references
 from quasi.gap.levels.forces.case import Case
-from quasi.gap.levels.forces.error_reduction import after, wrench_squares
+from quasi.gap.levels.forces.error_reduction import after, wrench_score
 from quasi.gap.levels.forces.held_out import made_of
 from quasi.gap.levels.forces.identify import Found
 from quasi.gap.levels.forces.left_out import residual_of_others
 from quasi.gap.levels.rollouts import split_flights
 from quasi.gap.levels.rollouts.confirmation import CONFIRMED, REFUTED, Settled, settle
-from quasi.gap.levels.rollouts.open_loop import HORIZON, MOVED_BY, WITHOUT_TRIM
+from quasi.gap.levels.rollouts.open_loop import HORIZON, MOVED_BY
 from quasi.gap.levels.sensors_and_drive import SEARCHES
 from quasi.gap.levels.trim_evidence import OF_TOTAL_THRUST, named_rotor, rejected_by_trim, why_rotor_is_enough
 from quasi.gap.losses import (
-    FORCES_LINE,
-    OWN_LOSS,
     Loss,
+    correcting_others,
     losses,
     only_loss,
+    reject_losing_causes,
     removed_shares,
     simulated_rows,
     wrench_pairs,
@@ -44,63 +44,6 @@ from quasi.gap.statistics.candidates import Candidate
 from quasi.model.model import AXES, Model
 
 DROWNED = "it makes so little of what no cause explains on its axes that it may be the error of that one's form"
-
-
-def reject_losing_causes(
-    causes: Sequence[Cause], made: Callable[[Sequence[Cause]], Model], judge: Callable[[Model], list[Loss]],
-    errors: Callable[[Model], np.ndarray] = lambda model: np.ones(len(AXES)),
-) -> tuple[list[Cause], list[tuple[Cause, Loss]], list[Loss]]:  # fmt: skip
-    """Causes that stand, those rejected with what they made worse, and the losses that no rejection ends.
-
-    made  causes -> extended model; judge  extended model -> its losses; errors  extended model -> root mean square of
-    what it leaves of the held-out flights' forces and moments (6,)
-    A cause that makes an axis of force or moment better by a larger factor than anything worse is none that is not
-    there: its form errs, the loss limits the verdict, and the name stands.
-    A loss that the model has without any cause (its own terms fitted anew) is no cause's fault, nor is one of trim,
-    nor one of forces or of a simulation without trim beyond the axes of the causes: there another trim turns a gain of
-    one axis into a loss of another. One cause after another is left out, each time the one without which the
-    largest loss is smallest.
-    """
-    kept, rejected = list(causes), []
-    found = judge(made(kept))
-    if not found:
-        return kept, rejected, found
-    anyway = {loss[:3]: loss.after for loss in judge(made([]))}
-
-    axes = {axis for cause in causes for axis in cause.effect.channels}
-    moved = axes | {MOVED_BY[axis] for axis in axes if axis in MOVED_BY}
-
-    def alone(quantity: str) -> bool:
-        """Whether some cause acts on this axis of a vector and on no other axis of it."""
-        kinds = [[axis if quantity in AXES else MOVED_BY[axis] for axis in c.effect.channels] for c in causes]
-        first = quantity[0] if quantity in AXES else quantity.split()[0]
-        return any([axis for axis in own if axis.startswith(first)] == [quantity] for own in kinds)
-
-    def own(losses_: Sequence[Loss]) -> list[Loss]:
-        return [
-            loss
-            for loss in losses_
-            if not loss.of_trim
-            and not (loss.one_axis and not alone(loss.quantity))
-            and loss.after > (1.0 + OWN_LOSS) * anyway.get(loss[:3], 0.0)
-            and (loss.line not in (WITHOUT_TRIM, FORCES_LINE) or loss.quantity in moved)
-        ]
-
-    while own(found) and kept:
-        whole, factor = errors(made(kept)), 1.0 + own(found)[0].growth
-        trials = [[c for c in kept if c is not cause] for cause in kept]
-        trials = [t for t in trials if np.max(errors(made(t)) / np.maximum(whole, 1e-300)) < factor]
-        if not trials:
-            break
-        outcomes = [judge(made(trial)) for trial in trials]
-        worst = [max((loss.growth for loss in own(outcome)), default=0.0) for outcome in outcomes]
-        best = int(np.argmin(worst))
-        if worst[best] >= own(found)[0].growth:
-            break
-        [gone] = [c for c in kept if not any(c is other for other in trials[best])]
-        rejected.append((gone, own(found)[0]))
-        kept, found = trials[best], outcomes[best]
-    return kept, rejected, found
 
 
 def judge_causes(case: Case, found: Found) -> tuple[Settled, unexplained.Left]:
@@ -281,20 +224,22 @@ def _harmless(case: Case, settled: Settled, made: Callable[[Sequence[Cause], boo
     """Without causes that make an axis or a simulation of the held-out flights worse."""
     if not settled.causes:
         return settled
-    kept, rejected, left = reject_losing_causes(
-        settled.causes,
-        lambda causes: made(causes, case.anew(causes)),
-        lambda model: losses(
-            case.model,
-            model,
-            case.held,
-            case.tables,
-            case.settings["horizons"],
-            case.settings["material share"],
-            commanded=False,
-        ),
-        lambda model: np.sqrt(wrench_squares(case.held, after(model, case.model), False).mean()),
-    )
+
+    def model_of(causes: Sequence[Cause]) -> Model:
+        return made(causes, case.anew(causes))
+
+    def errors(model: Model) -> np.ndarray:
+        return np.sqrt(wrench_score(case.held, after(model, case.model)).mean())
+
+    def worse(model: Model) -> list[Loss]:
+        horizons, share = case.settings["horizons"], case.settings["material share"]
+        return losses(case.model, model, case.held, case.tables, horizons, share, commanded=False)
+
+    for cause in correcting_others(settled.causes, model_of, errors) if case.held else []:
+        settled = _without(
+            settled, cause, "its axes stay as wrong as without any cause: it corrects what another errs by"
+        )
+    _, rejected, left = reject_losing_causes(settled.causes, model_of, worse, errors)
     for cause, loss in rejected:
         settled = _without(settled, cause, f"with it {loss.sentence()}")
     return settled._replace(losses=left)

@@ -14,10 +14,10 @@ from quasi.gap.catalogue import catalogue
 from quasi.gap.constant_loads import LOADS, constant_force_ties, in_ties
 from quasi.gap.diagnosis import _suspected, verdict_of
 from quasi.gap.levels.rollouts.confirmation import Confirmation
-from quasi.gap.losses import Loss, drive_losses, only_loss, trim_is_usual
+from quasi.gap.losses import Loss, correcting_others, drive_losses, only_loss, reject_losing_causes, trim_is_usual
 from quasi.gap.report.wording import tie_sentence
 from quasi.gap.statistics.candidates import Candidate
-from quasi.gap.verdict import drowned, reject_losing_causes
+from quasi.gap.verdict import drowned
 from quasi.model.model import AXES, Model
 
 
@@ -339,3 +339,15 @@ def test_a_name_or_tie_gives_way_to_something_clearer_on_its_axis_that_no_cause_
         assert {name: text for name, (_, text) in found.contradicted.items()} == dict.fromkeys(
             ("torque_factor", "inertia"), why
         )
+
+
+@pytest.mark.parametrize(("left", "gone"), [((1.2, 1.5), ["blade_flapping"]), ((0.7, 1.2), []), ((0.9, 0.9), [])])
+def test_a_cause_that_leaves_its_axes_no_better_than_without_any_corrects_another(left, gone):
+    """Wind turned a model's moments the wrong way; what blade flapping took off of that was named."""
+    wind, other = shown_by("wind", 1e-30, 0), shown_by("blade_flapping", 1e-9, 3)
+    for cause, wald, channels in ((wind, 1000.0, ("Fx", "Fy", "Mx", "My")), (other, 60.0, ("Mx", "My"))):
+        cause.test.wald, cause.effect.channels = wald, channels
+    both = np.array([0.1, 0.1, 1.0, *left, 1.0])
+    errors = {(): np.ones(6), ("wind", "blade_flapping"): both, ("wind",): np.array([0.1, 0.1, 1.0, 1.3, 1.6, 1.0])}
+    found = correcting_others([other, wind], lambda of: tuple(c.effect.id for c in of), lambda model: errors[model])
+    assert [c.effect.id for c in found] == gone
