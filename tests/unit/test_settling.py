@@ -122,7 +122,7 @@ def test_the_lead_of_a_hypothesis_is_what_its_turn_costs_beyond_seating(flights,
     """Seating of 0.2 deg takes up a turned force of x at the price (x / 0.0035)^2: so the lead is about that."""
     turn = np.array([0.0, 0.02, 0.0])
     made = [replace(f, filtered=felt(f.filtered, turn, f.airframe.inertia)) if f.compared else f for f in flights]
-    left = compare([Level("sensors", ties=[tie(turn)])], PAIR, [], made, model, process)
+    left = compare([Level("sensors", ties=[tie(turn)])], tie(turn), made, model, process)
     lead = left[:, 1] - left[:, 0]
     # moments and constant forces have spreads of their own and take up some
     assert ((lead > 3.0) & (lead < 1.3 * (0.02 / 0.0035) ** 2)).all(), lead

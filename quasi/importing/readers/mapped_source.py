@@ -155,9 +155,11 @@ class MappedSource:
                 lacking.add(quantity)
                 continue
             self.values[quantity] = numbers_of_column(table[name], path, name, notes) * column.factor
-        silent = not any(v[np.isfinite(v)].any() for n, v in self.values.items() if n.startswith("command"))
+        # of motors that never ran no unit can be recognised
+        shares = [n for n in self.values if n.startswith("command") and source.columns[n].unit is None]
+        silent = shares if not any(self.values[n][np.isfinite(self.values[n])].any() for n in shares) else ()
         for quantity, values in self.values.items():
-            empty = not np.isfinite(values).any() or (silent and quantity.startswith("command"))
+            empty = not np.isfinite(values).any() or quantity in silent
             if empty and source.columns[quantity].optional:
                 lacking.add(quantity)
         for members in (*VECTOR_COLUMNS.values(), QUATERNION):
