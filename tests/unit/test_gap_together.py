@@ -168,7 +168,8 @@ def test_an_axis_that_does_not_count_neither_makes_nor_spoils_a_name():
     flights = [shifted(f, {"Fz": 0.5 * f.columns["w"] * flag}, (0,))
                for flag, f in zip(COMPARED, map(flight, (1, 2, 3, 4)))]  # fmt: skip
     there = [shifted(f, {"Fz": 0.5 * f.columns["w"]}, (0,)) for f in map(flight, (5, 6))]
-    absent = [shifted(f, {"Fx": 0.25 * f.columns["u"]}, (0,)) for f in map(flight, (5, 6))]
+    # half of it: what the cause takes off of Fz it puts on with the other sign
+    absent = [shifted(f, {"Fx": 0.25 * f.columns["u"], "Fz": 0.25 * f.columns["w"]}, (0,)) for f in map(flight, (5, 6))]
     assert judged(both, flights, there, COMPARED)[0] == ["push"]
     assert judged(both, flights, absent, COMPARED)[0] == []
     assert _of_forces(wrench_pairs((BASE, made([(both, {"c": 0.5})])), BASE, there), 0.05) == []
