@@ -5,7 +5,7 @@
 
 PLACE is a folder with the simulators, which are no dependency of quasi (`pip install --target PLACE --no-deps rotorpy
 mujoco drone-models casadi array-api-compat array-api-extra pyflyt pybullet gymnasium farama-notifications
-cloudpickle`). For each simulator and seed, OUT holds one project
+cloudpickle jsbsim`). For each simulator and seed, OUT holds one project
 folder, as a lab would have it: four reference flights, and five flights per case, two of them held out. Each case
 changes one parameter of the simulator, or of the sensors when the logs are written. The workflow imports, filters,
 identifies and compares. Flights and results stay in OUT, so that a second run makes only what is missing.
