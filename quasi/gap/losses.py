@@ -110,19 +110,22 @@ def reject_losing_causes(
 
 
 def correcting_others(
-    causes: Sequence[Cause], made: Callable[[Sequence[Cause]], Model], errors: Callable[[Model], np.ndarray]
-) -> list[Cause]:
+    causes: Sequence[Cause], made: Callable[[Sequence[Cause]], Model], errors: Callable[[Model], np.ndarray],
+    unjudged: Sequence[Cause] = (),
+) -> list[Cause]:  # fmt: skip
     """Causes that leave the axes where they act no better than these are without any cause, the weakest first: they
     correct the form of another, which makes these axes worse. The strongest one is no such.
 
     made  causes -> extended model; errors  extended model -> root mean square of what it leaves of the held-out
-    flights' forces and moments (6,)
+    flights' forces and moments (6,); unjudged  causes that held-out flights do not show: these leave their axes as
+    they are
     """
     kept, first = sorted(causes, key=lambda c: -c.test.wald), np.maximum(errors(made([])), 1e-300)
     gone = []
     while len(kept) > 1:
         grown = np.log(np.maximum(errors(made(kept)), 1e-300) / first)
-        poor = [c for c in kept[1:] if grown[seen_in(c.effect)].sum() >= 0.0]
+        shown = [c for c in kept[1:] if not any(c is other for other in unjudged)]
+        poor = [c for c in shown if grown[seen_in(c.effect)].sum() >= 0.0]
         if not poor:
             break
         gone.append(poor[-1])

@@ -64,7 +64,7 @@ def judge_causes(case: Case, found: Found) -> tuple[Settled, unexplained.Left]:
     if all(case.compared):
         settled = _borne_out(settled, case.settings["material share"])
     settled = _against_trim(case, settled)
-    settled = _harmless(case, settled, made)
+    settled = _harmless(case, settled, made, found.unjudged)
     settled = _of_use(case, settled, made, found.level)
 
     def left_by(settled: Settled) -> unexplained.Left:
@@ -220,8 +220,13 @@ def _significant_next_to_rotor(case: Case, found: Found, causes: Sequence[Cause]
     return kept
 
 
-def _harmless(case: Case, settled: Settled, made: Callable[[Sequence[Cause], bool], Model]) -> Settled:
-    """Without causes that make an axis or a simulation of the held-out flights worse."""
+def _harmless(
+    case: Case, settled: Settled, made: Callable[[Sequence[Cause], bool], Model], unjudged: Sequence[Cause]
+) -> Settled:
+    """Without causes that make an axis or a simulation of the held-out flights worse.
+
+    unjudged  causes that these hardly show
+    """
     if not settled.causes:
         return settled
 
@@ -235,7 +240,7 @@ def _harmless(case: Case, settled: Settled, made: Callable[[Sequence[Cause], boo
         horizons, share = case.settings["horizons"], case.settings["material share"]
         return losses(case.model, model, case.held, case.tables, horizons, share, commanded=False)
 
-    for cause in correcting_others(settled.causes, model_of, errors) if case.held else []:
+    for cause in correcting_others(settled.causes, model_of, errors, unjudged) if case.held else []:
         settled = _without(
             settled, cause, "its axes stay as wrong as without any cause: it corrects what another errs by"
         )

@@ -351,3 +351,17 @@ def test_a_cause_that_leaves_its_axes_no_better_than_without_any_corrects_anothe
     errors = {(): np.ones(6), ("wind", "blade_flapping"): both, ("wind",): np.array([0.1, 0.1, 1.0, 1.3, 1.6, 1.0])}
     found = correcting_others([other, wind], lambda of: tuple(c.effect.id for c in of), lambda model: errors[model])
     assert [c.effect.id for c in found] == gone
+
+
+def test_a_cause_that_held_out_flights_do_not_show_corrects_no_other():
+    """Flights away from the floor: ground effect left its axes exactly as they were, and lost its name."""
+    torque, ground = shown_by("torque_factor", 1e-30, 5), shown_by("ground_effect", 1e-9, 2)
+    for cause, wald, channels in ((torque, 400.0, ("Mz",)), (ground, 90.0, ("Fz", "Mx", "My"))):
+        cause.test.wald, cause.effect.channels = wald, channels
+
+    def errors(of):
+        return np.array([1.0] * 5 + [0.5 if "torque_factor" in of else 1.0])
+
+    both = [torque, ground]
+    assert correcting_others(both, lambda of: [c.effect.id for c in of], errors) == [ground]
+    assert correcting_others(both, lambda of: [c.effect.id for c in of], errors, [ground]) == []
