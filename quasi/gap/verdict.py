@@ -64,7 +64,7 @@ def judge_causes(case: Case, found: Found) -> tuple[Settled, unexplained.Left]:
     if all(case.compared):
         settled = _borne_out(settled, case.settings["material share"])
     settled = _against_trim(case, settled)
-    settled = _harmless(case, settled, made, found.unjudged)
+    settled = harmless = _harmless(case, settled, made, found.unjudged)
     settled = _of_use(case, settled, made, found.level)
 
     def left_by(settled: Settled) -> unexplained.Left:
@@ -79,7 +79,9 @@ def judge_causes(case: Case, found: Found) -> tuple[Settled, unexplained.Left]:
     ties = found.ties
     rest = _next_to_unknown(case, settled, found, left)
     rest = _fainter_than_unknown(case, rest, found, left)
-    return (rest, left) if rest is settled and found.ties is ties else _outdone(case, rest, found, left_by)
+    if rest is not settled or found.ties is not ties:
+        rest, left = _outdone(case, rest, found, left_by)
+    return _with_losses_left(case, rest, harmless, made), left
 
 
 def _settled(case: Case, found: Found, causes: Sequence[Cause]) -> Settled:
@@ -236,18 +238,29 @@ def _harmless(
     def errors(model: Model) -> np.ndarray:
         return np.sqrt(wrench_score(case.held, after(model, case.model)).mean())
 
-    def worse(model: Model) -> list[Loss]:
-        horizons, share = case.settings["horizons"], case.settings["material share"]
-        return losses(case.model, model, case.held, case.tables, horizons, share, commanded=False)
-
     for cause in correcting_others(settled.causes, model_of, errors, unjudged) if case.held else []:
         settled = _without(
             settled, cause, "its axes stay as wrong as without any cause: it corrects what another errs by"
         )
-    _, rejected, left = reject_losing_causes(settled.causes, model_of, worse, errors)
+    _, rejected, left = reject_losing_causes(settled.causes, model_of, lambda model: _losses_of(case, model), errors)
     for cause, loss in rejected:
         settled = _without(settled, cause, f"with it {loss.sentence()}")
     return settled._replace(losses=left)
+
+
+def _losses_of(case: Case, model: Model) -> list[Loss]:
+    horizons, share = case.settings["horizons"], case.settings["material share"]
+    return losses(case.model, model, case.held, case.tables, horizons, share, commanded=False)
+
+
+def _with_losses_left(
+    case: Case, settled: Settled, judged: Settled, made: Callable[[Sequence[Cause], bool], Model]
+) -> Settled:
+    """The losses of the causes that are left in the end. judged  those causes that the losses were judged with"""
+    if len(settled.causes) == len(judged.causes):
+        return settled
+    causes = settled.causes
+    return settled._replace(losses=_losses_of(case, made(causes, case.anew(causes))) if causes else [])
 
 
 def _of_use(

@@ -13,7 +13,7 @@ from quasi.gap.base_model import Worth, worth_of
 from quasi.gap.catalogue import catalogue
 from quasi.gap.constant_loads import LOADS, constant_force_ties, in_ties
 from quasi.gap.diagnosis import _suspected, verdict_of
-from quasi.gap.levels.rollouts.confirmation import Confirmation
+from quasi.gap.levels.rollouts.confirmation import Confirmation, Settled
 from quasi.gap.losses import Loss, correcting_others, drive_losses, only_loss, reject_losing_causes, trim_is_usual
 from quasi.gap.report.wording import tie_sentence
 from quasi.gap.statistics.candidates import Candidate
@@ -365,3 +365,32 @@ def test_a_cause_that_held_out_flights_do_not_show_corrects_no_other():
     both = [torque, ground]
     assert correcting_others(both, lambda of: [c.effect.id for c in of], errors) == [ground]
     assert correcting_others(both, lambda of: [c.effect.id for c in of], errors, [ground]) == []
+
+
+@pytest.mark.parametrize("gone", [[], ["flapping"], ["flapping", "wind"]])
+def test_losses_are_those_of_the_causes_that_stand_in_the_end(monkeypatch, gone):
+    """A cause that gave way to the unknown left its loss behind: "partly explained", by a loss that is not there."""
+    causes, empty = [cause("wind"), cause("flapping")], Settled([], [], {}, {}, [])
+    lost = {"flapping": Loss("rollouts", "rate y", 0.5, 1.0, 2.0, of_trim=True)}
+    for step in ("_of_flights", "_borne_out", "_against_trim", "_of_use"):
+        monkeypatch.setattr(verdict, step, lambda *given: next(g for g in given if isinstance(g, Settled)))
+    for step in ("_drop_needless_ties", "_drop_ties_in_part"):
+        monkeypatch.setattr(verdict, step, lambda *given: None)
+    for step in ("_next_to_unknown", "_fainter_than_unknown"):
+        monkeypatch.setattr(verdict, step, lambda case, settled, *given: settled)
+    monkeypatch.setattr(verdict, "_significant_next_to_rotor", lambda case, found, causes: causes)
+    monkeypatch.setattr(verdict, "_settled", lambda *given: empty._replace(causes=causes))
+    monkeypatch.setattr(verdict, "Model", lambda document, where: document)
+    monkeypatch.setattr(verdict, "losses", lambda base, model, *given, **asked: [lost[n] for n in model if n in lost])
+    monkeypatch.setattr(verdict, "correcting_others", lambda *given: [])
+    monkeypatch.setattr(verdict, "_outdone", lambda case, settled, found, left_by: (
+        settled._replace(causes=[c for c in settled.causes if c.name not in gone]), "left"
+    ))  # fmt: skip
+    case = SimpleNamespace(
+        compared=[True, False], held=["h"], model="base", tables={}, anew=lambda causes: False,
+        settings={"horizons": [0.5], "material share": 0.05},
+        extended=lambda causes, study, where, anew: [c.name for c in causes],
+    )  # fmt: skip
+    found = SimpleNamespace(causes=[], stand_ins=[], ties=[], unjudged=[], study=None, level={})
+    settled, _ = verdict.judge_causes(case, found)
+    assert list(settled.losses) == ([] if gone else [lost["flapping"]])
