@@ -370,10 +370,12 @@ def drowned(own: np.ndarray, usual: np.ndarray, unknown: np.ndarray) -> bool:
 
 
 def _power(cause: Cause, case: Case) -> tuple[np.ndarray, np.ndarray]:
-    """Mean squares (6,) about each flight's mean, of what a cause makes in the compared flights and of their errors."""
+    """Mean squares (6,) about each flight's mean, of what a cause makes in the compared flights and of their errors;
+    excluded axes have neither, for nothing unknown is sought there."""
     flights = [f for f, flag in zip(case.learning, case.compared) if flag]
-    made = [whole_of(cause.effect, f, case.vehicle, cause.value) for f in flights]
-    return tuple(np.mean([np.var(v, axis=0) for v in of], axis=0) for of in (made, [f.residual for f in flights]))
+    made = [f.heard(whole_of(cause.effect, f, case.vehicle, cause.value)) for f in flights]
+    errors = [f.heard(f.residual) for f in flights]
+    return tuple(np.mean([np.var(v, axis=0) for v in of], axis=0) for of in (made, errors))
 
 
 def errors_beyond_references(case: Case, settled: Settled, found: Found) -> list[dict[str, Any]]:

@@ -13,6 +13,7 @@ from quasi.gap.base_model import Worth, worth_of
 from quasi.gap.catalogue import catalogue
 from quasi.gap.constant_loads import LOADS, constant_force_ties, in_ties
 from quasi.gap.diagnosis import _suspected, verdict_of
+from quasi.gap.effect import vehicle_of
 from quasi.gap.levels.rollouts.confirmation import Confirmation, Settled
 from quasi.gap.losses import Loss, correcting_others, drive_losses, only_loss, reject_losing_causes, trim_is_usual
 from quasi.gap.report.wording import tie_sentence
@@ -394,3 +395,16 @@ def test_losses_are_those_of_the_causes_that_stand_in_the_end(monkeypatch, gone)
     found = SimpleNamespace(causes=[], stand_ins=[], ties=[], unjudged=[], study=None, level={})
     settled, _ = verdict.judge_causes(case, found)
     assert list(settled.losses) == ([] if gone else [lost["flapping"]])
+
+
+@pytest.mark.parametrize("excluded", [(), (3,)])
+def test_the_axis_that_shows_a_cause_most_is_one_that_counts(flights, excluded):
+    """Roll of which the model explains nothing showed the rotor most, and kept all that is unknown elsewhere away."""
+    model, evidence = flights
+    noise = np.random.default_rng(0).standard_normal((len(evidence[0]), 6)) * [0.0, 0.0, 0.05, 1e-4, 1e-3, 0.0]
+    flight = replace(evidence[0], measured=evidence[0].predicted + noise, excluded=excluded)
+    rotor = SimpleNamespace(effect=catalogue()["rotor_effectiveness"], value={"rotor1": -0.1})
+    case = SimpleNamespace(learning=[flight], compared=[True], vehicle=vehicle_of(model))
+    own, usual = verdict._power(rotor, case)
+    assert AXES[int(np.argmax(own / np.maximum(usual, 1e-300)))] == ("My" if excluded else "Mx")
+    assert drowned(own, usual, np.array([0.0, 0.0, 4.0, 0.0, 0.1, 0.0])) is bool(excluded)
