@@ -240,11 +240,11 @@ def trim_is_usual(held: Sequence[Evidence], left: Callable[[Evidence], np.ndarra
     """Whether the constant errors that an extended model leaves are those by which healthy flights differ.
 
     left  flight -> residual (n, 6). Each axis of each flight must stay within OWN_TRIM standard deviations of nuisances
-    together, or be no more than one standard deviation larger than before.
+    together, or be no more than one standard deviation larger than before. Excluded axes have no say.
     """
     for flight in held:
         usual = np.sqrt(sum((spread * column.mean(axis=0)) ** 2 for _, column, spread in nuisances(flight)))
-        last, first = (np.abs(residual.mean(axis=0)) for residual in (left(flight), flight.residual))
+        last, first = (np.abs(flight.heard(r).mean(axis=0)) for r in (left(flight), flight.residual))
         if np.any(last > np.maximum(OWN_TRIM * usual, first + usual)):
             return False
     return True

@@ -138,6 +138,8 @@ def test_a_constant_error_is_a_trim_up_to_what_healthy_flights_differ_by(flights
     pushed = evidence[0].only("My", share * evidence[0].mass * 9.81 * evidence[0].airframe.arm)
     flat = [replace(e, measured=e.predicted) for e in evidence[:1]]
     assert trim_is_usual(flat, lambda e: pushed) is usual
+    # nor has an axis that does not count a say
+    assert trim_is_usual([replace(e, excluded=(4,)) for e in flat], lambda e: pushed)
     # an error that was there before the extension is none that it makes
     there = [replace(e, measured=e.predicted + pushed) for e in flat]
     assert trim_is_usual(there, lambda e: pushed)
