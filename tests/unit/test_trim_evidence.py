@@ -92,6 +92,13 @@ def test_flights_of_commands_get_the_name_of_the_trim_and_a_page():
     assert "resample" not in summary(shown, KNOWN)
 
 
+def test_a_mass_of_the_trim_is_known_as_its_logarithm_is():
+    found = evidence([1.25] * 4)
+    log, std = found.comparison.parameters["mass"]["mass"]
+    size = found.document["parameters"]["mass"]["mass"]
+    assert size["value"] == pytest.approx(MASS * np.exp(log)) and size["std"] == pytest.approx(std * size["value"])
+
+
 def commanded(thrust):
     """Trim of flights that hold commands, of which compared ones are asked for `thrust` times as much."""
     tables = {

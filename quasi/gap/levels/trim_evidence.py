@@ -96,7 +96,8 @@ def _parameters(name: str, found: Comparison, geometry: Geometry, vehicle: Vehic
             size = float(np.exp(value))
             result[key] = {"value": size, "std": size * std, "unit": "1"}
         elif key == "mass":
-            result[key] = {"value": vehicle.mass * float(np.exp(value)), "std": vehicle.mass * std, "unit": "kg"}
+            mass = vehicle.mass * float(np.exp(value))
+            result[key] = {"value": mass, "std": mass * std, "unit": "kg"}
         elif key.endswith("_cg"):
             result[key[0]] = {"value": geometry.arm * value, "std": geometry.arm * std, "unit": "m"}
         else:
