@@ -344,6 +344,21 @@ def test_a_name_or_tie_gives_way_to_something_clearer_on_its_axis_that_no_cause_
         )
 
 
+@pytest.mark.parametrize(
+    ("where", "words"),
+    [("no place", "beyond what the reference flights leave"), ("frequency", "as a vibration does"),
+     ("everywhere", "everywhere"), ("height", "along the height")],
+)  # fmt: skip
+def test_what_is_clearer_is_said_with_where_it_lives(monkeypatch, where, words):
+    """It had been "along the no place"."""
+    named, found = shown_by("rotor_tilt", 1e-9, 5), SimpleNamespace(ties=[], stand_ins=[])
+    settled = Settled([named], [], {("rotor_tilt", "changed"): Confirmation("", 1.0, 0.1, 5.0)}, {}, [])
+    monkeypatch.setattr(verdict, "_power", lambda c, case: (np.eye(6)[c.axis], np.ones(6)))
+    left = SimpleNamespace(entries=[{"channel": "Mz", "where": where, "since": "changed", "evidence": {"p": 1e-20}}])
+    ((_, confirmation),) = verdict._fainter_than_unknown(None, settled, found, left).dropped
+    assert confirmation.why.startswith(f"Mz differs {words} in a way that no cause explains")
+
+
 @pytest.mark.parametrize(("left", "gone"), [((1.2, 1.5), ["blade_flapping"]), ((0.7, 1.2), []), ((0.9, 0.9), [])])
 def test_a_cause_that_leaves_its_axes_no_better_than_without_any_corrects_another(left, gone):
     """Wind turned a model's moments the wrong way; what blade flapping took off of that was named."""

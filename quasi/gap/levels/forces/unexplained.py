@@ -13,7 +13,7 @@ import numpy as np
 import pandas as pd
 
 from quasi.gap.effect import Vehicle
-from quasi.gap.flights.covariates import EVERYWHERE, OWN_COVARIATES
+from quasi.gap.flights.covariates import EVERYWHERE, IN_TIME, OWN_COVARIATES, said
 from quasi.gap.flights.evidence import Evidence
 from quasi.gap.flights.ranges import find_ranges, profile
 from quasi.gap.levels.forces import spectral_peaks as rhythm
@@ -136,7 +136,7 @@ def search(
         for k in np.flatnonzero(power > SECOND_AXIS * power.max()):
             part = material(k, float(power[k]), float(whole[k]), line.since)
             if part is not None:
-                say(k, "frequency", part, np.sqrt(power[k]), since=line.since, mostly=[[line.low, line.high]],
+                say(k, IN_TIME, part, np.sqrt(power[k]), since=line.since, mostly=[[line.low, line.high]],
                     evidence={"p": line.p, "seen along": line.view})  # fmt: skip
     table = pd.concat(profiles, ignore_index=True) if profiles else pd.DataFrame({"channel": [], "where": []})
     order = np.argsort(-np.array(parts), kind="stable")
@@ -193,10 +193,9 @@ def outdone(
         adds_more = function.p < min(level_of(grounds, compared, rate), cause.p)
         takes_most = adds_more and cause.wald < 0.5 * mixed.test(asked, others, pooled).wald
         if (place in found and cause.p >= level) or takes_most:
-            where = choice.where if choice.where == EVERYWHERE else f"along the {choice.where}"
             return (
-                f"{AXES[k]} differs {where} in a way that no cause explains (p = {function.p:.2g} with the cause "
-                f"given); with that given the cause has p = {cause.p:.2g}"
+                f"{AXES[k]} differs {said(choice.where)} in a way that no cause explains (p = {function.p:.2g} with "
+                f"the cause given); with that given the cause has p = {cause.p:.2g}"
             )
     return ""
 
