@@ -114,3 +114,28 @@ def test_a_flight_too_short_for_two_halves_tells_nothing(base):
     assert (
         split_flights.judge([short], {"a": table[table["t"] < 8.0]}, [evidence], base, base, (), vehicle, [0.5]) == {}
     )
+
+
+def test_windows_that_diverge_under_one_model_are_no_smaller_there(base, monkeypatch):
+    """What diverged counted with the largest of the rest, as if the model did well where it does worst."""
+    table, evidence = flown(base, base)
+    worse, vectors = stronger(base, 0.02), split_flights.open_loop.vectors
+
+    def diverging(run, flight, starts, lags):
+        found = vectors(run, flight, starts, lags) * (0.5 if run.worse else 1.0)
+        found[::2] = np.nan if run.worse else 10.0
+        return found
+
+    class Run:
+        def __init__(self, model, run):
+            self.worse, self.run = model is worse, run
+
+        def __getitem__(self, at):
+            return self.run[at]
+
+    simulated = split_flights.open_loop.simulated
+    monkeypatch.setattr(split_flights.open_loop, "simulated", lambda model, *args: Run(model, simulated(model, *args)))
+    monkeypatch.setattr(split_flights.open_loop, "vectors", diverging)
+    sides = [(base, ()), (worse, ())]
+    gone = split_flights.gain([evidence], {"a": table}, [evidence], base, sides, vehicle_of(base), "velocity", 0.5)
+    assert abs(gone) < 0.01  # where both are known, the errors are small

@@ -127,7 +127,8 @@ def gain(
     sums = np.zeros(2)
     for evidence in held:
         flight = open_loop.flight_of(evidence.key, tables[evidence.key], evidence.mass, evidence.inertia)
-        for k, (model, causes) in enumerate(sides):
+        ends = []
+        for model, causes in sides:
             level = wrench_score(learning, after(model, base)).mean()
             found = own(evidence, model, base, causes, vehicle, level)
             if found is None:
@@ -138,8 +139,9 @@ def gain(
             fitted = with_own(model, base, causes, found, vehicle) if found.parameters else model
             lags = np.array([count_steps(flight.t, horizon)])
             errors = open_loop.vectors(open_loop.simulated(fitted, flight, starts, horizon), flight, starts, lags)
-            ends = open_loop.table_of(flight, starts, errors, [horizon])[quantity]
-            sums[k] += float((open_loop.finite(ends) ** 2).sum())
+            ends.append(open_loop.table_of(flight, starts, errors, [horizon]))
+        if ends:  # halves are those of the flight, under either model
+            sums += [float(squared.sum()) for squared in open_loop.squares(ends, [quantity])]
     return 1.0 - float(sums[1] / sums[0]) if sums[0] > 0.0 else None
 
 
