@@ -230,6 +230,25 @@ def test_what_is_nearly_significant_and_would_explain_a_constant_force_stands_in
     assert _suspected(entries) == {"a"}
 
 
+@pytest.mark.parametrize(("references", "sessions"), [(1, "aaaaa"), (2, "aaaabb")])
+def test_healthy_flights_seldom_have_a_constant_force(flights, references, sessions):
+    """What the mean of few references errs by, and what a session differs by, all compared flights have in common: at
+    a thousandth, either had been called a force in one of thirty sets."""
+    evidence, rng, alarms = replace_attitude(flights[1][0]), np.random.default_rng(0), 0
+    named = [replace(evidence, key=f"{k}", session=s) for k, s in enumerate(sessions)]
+    weight, axis = evidence.mass * 9.81, "Fx" if references == 1 else "Fz"
+    own = 0.005 if axis == "Fx" else 0.015  # of force; of force, mass and thrust
+    for _ in range(300):
+        seat = dict(zip("ab", 0.015 * rng.standard_normal(2))) if axis == "Fz" else dict.fromkeys("ab", 0.0)
+        push = {e.key: weight * (seat[e.session] + own * rng.standard_normal()) for e in named}
+        shown = ["Fx"] if axis == "Fx" else []
+        found = constant_force_ties(
+            named[:4], named[4:], lambda e, push=push: e.only(axis, push[e.key]), [], catalogue(), 1e-3, 0.05, shown
+        )
+        alarms += bool(found)
+    assert alarms <= 2
+
+
 def test_a_share_just_below_nothing_is_no_negative_zero():
     worth = Worth({"Fx": -0.0003, "Fy": -0.06}, ("Fx", "Fy"), "")
     assert "Fx 0 %, Fy -6 %" in worth.sentence()
