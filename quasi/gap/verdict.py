@@ -181,7 +181,7 @@ def _drop_needless_ties(case: Case, found: Found) -> None:
     for since, tie in found.ties:
         if since == "changed" and any(t.offer.cause in OF_TOTAL_THRUST for t in tie.tests):
             found.contradicted |= {t.offer.cause: (t, why) for t in tie.tests}
-            found.stand_ins = [c for c in found.stand_ins if c.test.offer.cause != tie.tests[0].offer.cause]
+            found.stand_ins = [c for c in found.stand_ins if c.test.offer[:2] != tie.tests[0].offer[:2]]
         else:
             kept.append((since, tie))
     found.ties = kept

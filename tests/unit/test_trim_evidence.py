@@ -183,6 +183,11 @@ def test_a_tie_with_a_cause_of_the_total_thrust_gives_way_to_the_rotor_of_the_tr
     _drop_needless_ties(case, found)
     assert bool(found.ties) is bool(found.stand_ins) is stays
     assert set(found.contradicted) == (set() if stays else set(causes))
+    if not stays:  # a tie of what all flights have keeps its first cause
+        found, lasting = tied(*causes), mixed.Candidate(causes[0], "always", (0,))
+        found.stand_ins.append(SimpleNamespace(test=mixed.Test(lasting, *[None] * 5)))
+        _drop_needless_ties(case, found)
+        assert [c.test.offer for c in found.stand_ins] == [lasting]
     healthy = tied(*causes)
     _drop_needless_ties(SimpleNamespace(trim=commanded([1.0] * 4)), healthy)
     assert healthy.ties and healthy.stand_ins
