@@ -187,7 +187,7 @@ def diagnose(
     lower_effects = [lower_effect(e, level, gap) for level in ("sensors", "drive") for e in levels[level]["effects"]]
     lower_effects, shifted = of_late_telemetry(lower_effects)
     corrected_ones = [e for e in lower_effects if corrected_at_import(e["id"], e["level"])]
-    if corrected_ones and not _correction_matters(model, lower, settings):
+    if corrected_ones and not _correction_matters(model, lower, settings, positions):
         for effect in corrected_ones:
             effect["explains"] = False
     lower_effects += [rotor_order.effect_of(order)] if order else []
@@ -384,9 +384,13 @@ def _refit_loses(case: Case, found: Found) -> bool:
 
 
 def _correction_matters(
-    model: Model, lower: tuple[Sequence[Flown], Sequence[Flown]], settings: Mapping[str, Any]
-) -> bool:
-    """Whether correcting the sensors changes forces or simulations of held-out flights; taken to, where none judges."""
+    model: Model, lower: tuple[Sequence[Flown], Sequence[Flown]], settings: Mapping[str, Any],
+    excluded: tuple[int, ...] = (),
+) -> bool:  # fmt: skip
+    """Whether correcting the sensors changes forces or simulations of held-out flights; taken to, where none judges.
+
+    excluded  positions of axes that do not count
+    """
     sides = []
     for flights in lower:
         read = {f.key: (f.filtered, f.filtered_metadata, f.airframe) for f in flights}
@@ -394,7 +398,7 @@ def _correction_matters(
             evidence, _ = gather_all(read, model, RATE)
         except DataError:
             return True
-        sides.append((list(evidence.values()), {f.key: f.filtered for f in flights}))
+        sides.append(([replace(e, excluded=excluded) for e in evidence.values()], {f.key: f.filtered for f in flights}))
     if not all(evidence for evidence, _ in sides):
         return True
     return correction_matters(model, *sides, settings["horizons"], settings["material share"])

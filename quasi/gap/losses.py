@@ -197,7 +197,7 @@ def correction_matters(
     first, last  held-out flights (evidence, filtered tables by key) before and after the correction; share  of a
     squared error, from which a change counts. A fault of sensors below that is a finding and explains no gap.
     """
-    old, new = (wrench_squares(held, before).mean() for held, _ in (first, last))
+    old, new = (wrench_squares(held, lambda f: f.heard(before(f))).mean() for held, _ in (first, last))
     if np.any(np.abs(new - old) >= share * np.maximum(old, 1e-300)):
         return True
     ends = []

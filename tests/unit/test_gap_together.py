@@ -5,6 +5,7 @@ from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
+import pandas as pd
 import pytest
 from plain_plant import made_model, with_simple_model
 from test_gap_extension import base_of
@@ -28,7 +29,7 @@ from quasi.gap.levels.forces.smooth_functions import grounds_of
 from quasi.gap.levels.forces.spectral_peaks import Signal, search
 from quasi.gap.levels.rollouts import split_flights
 from quasi.gap.levels.sensors import held_out, identify
-from quasi.gap.losses import _of_forces, wrench_pairs
+from quasi.gap.losses import _of_forces, correction_matters, wrench_pairs
 from quasi.gap.materiality import Cause, material
 from quasi.gap.own_effect import effect_of
 from quasi.gap.selection import Tie
@@ -302,3 +303,13 @@ def test_a_weak_rotor_acts_through_the_thrust_differences_of_yaw_but_for_those_n
     (name,) = [n for n in own if "(q)*(U_p" in n]
     along = [float(np.polyfit(one.columns["q"], c[name][:, 5], 1)[0]) for c in (own, again)]
     assert along[0] == pytest.approx(along[1], abs=0.1 * 2 * 1500.0 * 40.0)
+
+
+@pytest.mark.parametrize(("excluded", "matters"), [((), True), ((5,), False)])
+def test_a_correction_of_what_the_model_does_not_know_explains_nothing(excluded, matters):
+    """A gyro's scale changed the yaw moment, of which the model explains nothing, and the gap was "explained"."""
+    held = [shifted(flight(3), {}, excluded)]
+    wave = 1e-3 * np.sin(held[0].t)
+    table = pd.DataFrame(dict(held[0].columns))
+    sides = [([shifted(held[0], {"Mz": share * wave}, excluded)], {"f3": table}) for share in (1.0, 0.5)]
+    assert correction_matters(BASE, *sides, [0.5], 0.05) is matters
