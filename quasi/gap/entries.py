@@ -161,6 +161,8 @@ def candidates(found: Found, settled: Settled, share: float) -> list[dict[str, A
 
     for c, confirmation in settled.dropped:
         add(c.effect.id, c.since, c.test, confirmation.why)
+    for name, (test, why) in found.contradicted.items():
+        add(name, test.offer.since, test, why)
     for c in [*found.causes, *found.stand_ins]:
         again, least = 100 * c.probability, 100 * needed(c, found)
         why = f"found again in {again:.0f} % of the resamples only, expected {least:.0f} %"
@@ -178,8 +180,6 @@ def candidates(found: Found, settled: Settled, share: float) -> list[dict[str, A
                 else "so little next to stronger causes that it may be their form"
             )
         add(c.effect.id, c.since, c.test, why)
-    for name, (test, why) in found.contradicted.items():
-        add(name, test.offer.since, test, why)
     for c in kept:
         for r in c.rivals:
             name = c.effect.id

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from quasi.gap.effect import Effect
-from quasi.gap.entries import ALONE, STRONGEST, WEAKER, gain_entry, needed, of_late_telemetry
+from quasi.gap.entries import ALONE, STRONGEST, WEAKER, candidates, gain_entry, needed, of_late_telemetry
 from quasi.gap.materiality import Cause
 from quasi.gap.statistics import mixed
 
@@ -51,6 +51,16 @@ def test_what_held_out_flights_cannot_judge_comes_again_more_often():
     stronger = [cause("stronger", 1e-12)]
     assert share(1e-9, stronger, judged=False) == STRONGEST > share(1e-9, stronger)
     assert share(9e-4, stronger, judged=False) == WEAKER
+
+
+def test_a_cause_that_the_rotor_of_the_trim_explains_is_said_to_be_that():
+    """It had been "found again in 100 % of the resamples only, expected 20 %"."""
+    wind = cause("wind", 1e-9, since="changed")
+    wind.probability, why = 1.0, "p = 0.3 with rotor 3 given, which the trim shows"
+    empty = {name: [] for name in ("stand_ins", "ties", "immaterial", "unjudged", "ranking")}
+    found = SimpleNamespace(causes=[wind], contradicted={"wind": (wind.test, why)}, level={"changed": LEVEL}, **empty)
+    (entry,) = candidates(found, SimpleNamespace(causes=[], dropped=[]), 0.05)
+    assert (entry["id"], entry["why_not"]) == ("wind", why)
 
 
 def delay(name, value, std=0.001, since="always"):
