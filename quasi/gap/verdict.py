@@ -381,7 +381,8 @@ def _power(cause: Cause, case: Case) -> tuple[np.ndarray, np.ndarray]:
 
 def errors_beyond_references(case: Case, settled: Settled, found: Found) -> list[dict[str, Any]]:
     """Entries of "unexplained": what compared flights leave beyond the reference flights, with causes and ties."""
-    kept = [*settled.causes, *found.stand_ins]
+    firsts = {(tie.tests[0].offer.cause, since) for since, tie in found.ties}
+    kept = [*settled.causes, *(c for c in found.stand_ins if (c.effect.id, c.since) in firsts)]
     references = [f for f, flag in zip(case.learning, case.compared) if not flag]
     others = [f for f, flag in zip(case.learning, case.compared) if flag] + list(case.held)
     # ties are taken into account: what they explain is no secret
