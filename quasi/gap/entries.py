@@ -164,7 +164,7 @@ def candidates(found: Found, settled: Settled, share: float) -> list[dict[str, A
     for name, (test, why) in found.contradicted.items():
         add(name, test.offer.since, test, why)
     for c in [*found.causes, *found.stand_ins]:
-        again, least = 100 * c.probability, 100 * needed(c, found)
+        again, least = 100 * c.probability, 100 * (needed(c, found) if c.needed is None else c.needed)
         why = f"found again in {again:.0f} % of the resamples only, expected {least:.0f} %"
         add(c.effect.id, c.since, c.test, why)
     for c in found.immaterial:

@@ -48,8 +48,10 @@ DROWNED = "it makes so little of what no cause explains on its axes that it may 
 
 def judge_causes(case: Case, found: Found) -> tuple[Settled, unexplained.Left]:
     """The causes that stand, and what no cause explains. Ties that resamples do not bear out are taken from `found`."""
-    sure = [c for c in found.causes if c.probability >= needed(c, found)]
-    rare = [c for c in found.stand_ins if c.probability < needed(c, found)]
+    for cause in [*found.causes, *found.stand_ins]:
+        cause.needed = needed(cause, found)
+    sure = [c for c in found.causes if c.probability >= c.needed]
+    rare = [c for c in found.stand_ins if c.probability < c.needed]
     unsure = {(c.effect.id, c.since) for c in rare}
     found.ties = [(since, t) for since, t in found.ties if (t.tests[0].offer.cause, since) not in unsure]
     _drop_needless_ties(case, found)
