@@ -12,7 +12,7 @@ from scipy.signal import lfilter
 
 from quasi.airframe import read_airframe
 from quasi.gap.catalogue import catalogue
-from quasi.gap.effect import vehicle_of
+from quasi.gap.effect import Effect, Parameter, vehicle_of
 from quasi.gap.flights.covariates import places
 from quasi.gap.flights.evidence import Evidence
 from quasi.gap.levels.forces import reproducibility as recurring
@@ -381,3 +381,19 @@ def test_products_without_functions_are_those_of_the_columns_without_them():
     left[:, 4, 0] -= basis[:, 1] * -0.7
     before, expected = (np.einsum("nki,nkj->kij", c, c) for c in (columns, left))
     np.testing.assert_allclose(_less(before, columns, basis, functions), expected, atol=1e-10)
+
+
+def test_a_cause_that_does_nothing_in_held_out_flights_stays_among_the_columns(ground):
+    """Its column was left out of theirs, and the search ended with shapes that do not fit."""
+    fast = Effect("fast", "forces", "", "", "", {"c": Parameter("N s/m", 0.0, "a", -5.0, 5.0, 0.05)}, ("Fx",),
+                  terms=lambda _: {"c": {"Fx": "0.5*(u - 3 + ((u - 3)^2)^0.5)"}})  # fmt: skip
+
+    def layered(columns):
+        return only(2, 0.2 * np.tanh((columns["z"] + 1.2) / 0.3))
+
+    held = flight(ground, 90, layered)
+    held = dataclasses.replace(held, columns={**held.columns, "u": 0.2 * held.columns["u"]})
+    flights, causes = [flight(ground, s, layered) for s in range(5)], [(fast, Candidate("fast", "always", (0,)), {})]
+    vehicle = vehicle_of(ground[1])
+    left = search(flights, [True] * 5, [held], causes, lambda f: f.residual, NOISE**2, vehicle, 0.01, 0.05)
+    assert [(e["channel"], e["where"]) for e in left.entries] == [("Fz", "height")]

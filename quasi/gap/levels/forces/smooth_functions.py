@@ -84,7 +84,8 @@ def grounds_of(
     flights choose neither
     """
     effects = {e.id: e for e, *_ in causes}
-    study = gather_design(flights, effects, vehicle, [curved(causes, bool(flag)) for flag in compared])
+    values = [curved(causes, bool(flag)) for flag in compared]
+    study = gather_design(flights, effects, vehicle, values, idle=like is not None)  # with the columns of `like`
     if like is not None:
         study = study._replace(whitener=like.study.whitener)
     basis = basis_of(flights) if like is None else like.basis
