@@ -13,7 +13,7 @@ from scipy.signal import lfilter
 from quasi.airframe import read_airframe
 from quasi.gap.catalogue import catalogue
 from quasi.gap.effect import Effect, Parameter, vehicle_of
-from quasi.gap.flights.covariates import places
+from quasi.gap.flights.covariates import basis_of, places
 from quasi.gap.flights.evidence import Evidence
 from quasi.gap.levels.forces import reproducibility as recurring
 from quasi.gap.levels.forces import unexplained
@@ -397,3 +397,12 @@ def test_a_cause_that_does_nothing_in_held_out_flights_stays_among_the_columns(g
     vehicle = vehicle_of(ground[1])
     left = search(flights, [True] * 5, [held], causes, lambda f: f.residual, NOISE**2, vehicle, 0.01, 0.05)
     assert [(e["channel"], e["where"]) for e in left.entries] == [("Fz", "height")]
+
+
+def test_time_varies_however_long_the_log_lay_on_the_ground(ground):
+    """Forty seconds after an hour were a fiftieth of the time, and no variable at all."""
+    one = flight(ground, 0)
+    late = dataclasses.replace(one, columns={**one.columns, "t": one.columns["t"] + 3600.0})
+    assert [c.at for c in basis_of([late]).choices if c.where == "time" and c.at] == [
+        pytest.approx((3600.0 + k * SECONDS / 6,), abs=0.1) for k in range(1, 6)
+    ]

@@ -140,7 +140,9 @@ def basis_of(flights: Sequence[Evidence]) -> Basis:
             continue
         # to the very ends: a flip lasts a hundredth of a flight, and a line that bends there is no term of the model's
         low, high = min(float(k[where].min()) for k in known), max(float(k[where].max()) for k in known)
-        if where != HEADING and not high - low > CONSTANT_SPREAD * max(abs(high), abs(low), 1e-9):
+        # a heading comes round again, and time begins when the log did
+        varies = high - low > CONSTANT_SPREAD * max(abs(high), abs(low), 1e-9)
+        if where not in (HEADING, "time") and not varies:
             continue
         scales[where], first[where] = (low, high), at
         if where == HEADING:
