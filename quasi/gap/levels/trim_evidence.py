@@ -231,7 +231,7 @@ def contradicted_by_trim(
         if gains[k] < REJECTED_LOG:
             i = int(np.argmax(np.abs(effects[k])))
             result[int(k)] = (
-                f"with it rotor {i + 1} would be asked for {100 * np.expm1(effects[k][i]):+.0f} % more thrust in "
+                f"with it rotor {i + 1} would be asked for {100 * np.expm1(together[i]):+.0f} % more thrust in "
                 f"steady flight, where the flights show {100 * np.expm1(found.change[i]):+.0f} % (log likelihood "
                 f"{gains[k]:.1f})"
             )
