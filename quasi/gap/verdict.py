@@ -163,12 +163,15 @@ def _borne_out(settled: Settled, share: float) -> Settled:
 
 
 def _against_trim(case: Case, settled: Settled) -> Settled:
-    """Without changed causes that the trim in steady flight rejects, see `quasi.gap.levels.trim_evidence`."""
-    changed = [c for c in settled.causes if c.since == "changed"]
-    rejected = rejected_by_trim(case.trim, [(c.effect.id, c.value) for c in changed], case.vehicle.mass)
-    for k, why in rejected.items():
+    """Without changed causes that the trim in steady flight rejects, see `quasi.gap.levels.trim_evidence`, the worst
+    first: what it contradicts only together with that one stands."""
+    while True:
+        changed = [c for c in settled.causes if c.since == "changed"]
+        rejected = rejected_by_trim(case.trim, [(c.effect.id, c.value) for c in changed], case.vehicle.mass)
+        if not rejected:
+            return settled
+        k, why = next(iter(rejected.items()))
         settled = _without(settled, changed[k], why)
-    return settled
 
 
 def _drop_needless_ties(case: Case, found: Found) -> None:

@@ -12,6 +12,7 @@ from quasi.gap import verdict
 from quasi.gap.catalogue import catalogue
 from quasi.gap.diagnosis import verdict_of
 from quasi.gap.effect import Vehicle
+from quasi.gap.levels.rollouts.confirmation import Confirmation, Settled
 from quasi.gap.levels.trim_evidence import (
     expected_change,
     gather_trim,
@@ -274,6 +275,16 @@ def test_what_the_trim_contradicts_together_is_said_with_what_it_makes_together(
     stated = [("mass", {"mass": 0.25 * MASS}), ("thrust_factor", {"factor": -0.2})]
     rejected = rejected_by_trim(evidence([1.25] * 4), stated, MASS)
     assert all("would be asked for +56 % more thrust" in why and "show +24 %" in why for why in rejected.values())
+
+
+def test_of_causes_that_the_trim_contradicts_only_together_one_stands():
+    """Both had lost their names: another mass and weaker rotors, of which each by itself is what the trim shows."""
+    found, stated = evidence([1.25] * 4), {"mass": {"mass": 0.25 * MASS}, "thrust_factor": {"factor": -0.2}}
+    causes = [SimpleNamespace(effect=catalogue()[n], since="changed", value=value) for n, value in stated.items()]
+    told = {(n, "changed"): Confirmation("confirmed", 1.0, 0.1, 5.0) for n in stated}
+    case = SimpleNamespace(trim=found, vehicle=vehicle())
+    left = verdict._against_trim(case, Settled(causes, [], told, {}, []))
+    assert len(left.causes) == len(left.dropped) == 1
 
 
 def test_the_trim_rejects_causes_that_it_contradicts_and_keeps_the_true_one():
