@@ -194,7 +194,8 @@ def _drop_needless_ties(case: Case, found: Found) -> None:
 
 def _significant_next_to_rotor(case: Case, found: Found, causes: Sequence[Cause]) -> list[Cause]:
     """The causes that are significant with the rotor given that the trim names, where forces and moments do not name
-    it; ties that are not are taken from `found`. What the rotor changes beyond the trim would look like another cause.
+    it, the least significant one left out first; ties that are not are taken from `found`. What the rotor changes
+    beyond the trim would look like another cause.
     """
     name = named_rotor(case.trim)
     named = any((c.effect.id, c.since) == ("rotor_effectiveness", "changed") for c in causes)
@@ -205,26 +206,23 @@ def _significant_next_to_rotor(case: Case, found: Found, causes: Sequence[Cause]
     mixed = found.study.witnessed(range(len(case.learning)), case.compared)
     offers = [*(c.test.offer for c in causes), *(tie.tests[0].offer for _, tie in found.ties)]
 
-    def why(offer: Candidate) -> str:
-        if offer.since != "changed" or offer.cause == given.cause:
-            return ""
-        p = mixed.test(offer, [given, *(o for o in offers if o != offer)], mixed.pooled("changed")).p
-        return f"p = {p:.2g} with {name} given, which the trim shows" if p >= found.level["changed"] else ""
-
-    kept, ties = [], []
+    gone: dict[Candidate, str] = {}
+    while asked := [o for o in offers if o.since == "changed" and o.cause != given.cause]:
+        others = {o: [given, *(r for r in offers if r != o)] for o in asked}
+        p, worst = max((mixed.test(o, rest, mixed.pooled("changed")).p, o) for o, rest in others.items())
+        if p < found.level["changed"]:
+            break
+        gone[worst] = f"p = {p:.2g} with {name} given, which the trim shows"
+        offers.remove(worst)
     for cause in causes:
-        if reason := why(cause.test.offer):
-            found.contradicted[cause.effect.id] = cause.test, reason
-        else:
-            kept.append(cause)
-    for since, tie in found.ties:
-        if reason := why(tie.tests[0].offer):
+        if cause.test.offer in gone:
+            found.contradicted[cause.effect.id] = cause.test, gone[cause.test.offer]
+    for _, tie in found.ties:
+        if reason := gone.get(tie.tests[0].offer):
             found.contradicted |= {t.offer.cause: (t, reason) for t in tie.tests}
-            found.stand_ins = [c for c in found.stand_ins if c.test.offer != tie.tests[0].offer]
-        else:
-            ties.append((since, tie))
-    found.ties = ties
-    return kept
+    found.stand_ins = [c for c in found.stand_ins if c.test.offer not in gone]
+    found.ties = [(since, tie) for since, tie in found.ties if tie.tests[0].offer not in gone]
+    return [c for c in causes if c.test.offer not in gone]
 
 
 def _harmless(

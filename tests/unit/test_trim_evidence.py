@@ -216,11 +216,33 @@ def test_what_is_significant_without_the_rotor_of_the_trim_alone_is_none(p_with_
     )
     kept = _significant_next_to_rotor(case, found, [cause])
     assert bool(kept) is bool(found.ties) is bool(found.stand_ins) is stays
-    assert asked == [("wind", True), ("rotor_interference", True)]
+    assert set(asked) == {("wind", True), ("rotor_interference", True)}
     assert ("rotor 3 given" in str(found.contradicted.get("wind"))) is not stays
     asked.clear()
     other = SimpleNamespace(**vars(case) | {"trim": commanded([1.0] * 4)})
     assert _significant_next_to_rotor(other, found, [cause]) == [cause] and not asked
+
+
+def test_of_two_that_need_each_other_less_than_the_rotor_one_stands():
+    """With the rotor given, wind and tether explained each other away, and both had lost their names at once."""
+
+    def test(offer, given, pooled):
+        alone = len(given) == 1
+        return SimpleNamespace(p=1e-9 if alone else {"wind": 0.02, "tether": 0.01}[offer.cause])
+
+    model = SimpleNamespace(test=test, pooled=lambda since: [])
+    study = SimpleNamespace(columns=SimpleNamespace(causes={"rotor_effectiveness": [1, 2, 3, 4]}))
+    study.witnessed = lambda use, compared: model
+    causes = [SimpleNamespace(effect=SimpleNamespace(id=n), since="changed",
+                              test=mixed.Test(mixed.Candidate(n, "changed", (0,)), *[None] * 5))
+              for n in ("wind", "tether")]  # fmt: skip
+    found = SimpleNamespace(ties=[], stand_ins=[], contradicted={}, level={"changed": 1e-4}, study=study)
+    effects = {"rotor_effectiveness": SimpleNamespace(fitted=[f"rotor{i}" for i in (1, 2, 3, 4)])}
+    case = SimpleNamespace(
+        trim=commanded([1.0, 1.0, 1.0 / 0.7, 1.0]), effects=effects, learning=[1, 2], compared=[1, 1]
+    )
+    assert [c.effect.id for c in _significant_next_to_rotor(case, found, causes)] == ["tether"]
+    assert set(found.contradicted) == {"wind"}
 
 
 @pytest.mark.parametrize(
