@@ -178,13 +178,14 @@ def test_an_axis_that_does_not_count_neither_makes_nor_spoils_a_name():
     assert silent.coefficients.tolist() == [[1.0, 0, 0, 0, 0, 0, 0]]
 
 
+@pytest.mark.parametrize("compared", [np.ones(4, bool), COMPARED], ids=["alone", "with references"])
 @pytest.mark.parametrize("size", [0.0, 0.015])
-def test_constant_errors_do_not_hide_what_all_flights_lack(size):
-    effect, all_alike = push({"Fz": "u*v"}, ("Fz",)), np.ones(4, bool)
+def test_constant_errors_do_not_hide_what_all_flights_lack(size, compared):
+    effect = push({"Fz": "u*v"}, ("Fz",))
     signs = size * VEHICLE.mass * 9.81 * np.array([1.0, -1.0, 1.0, -1.0, 1.0])
     whole = [shifted(f, {"Fz": 0.03 * f.columns["u"] * f.columns["v"] + c})
              for f, c in zip(map(flight, (1, 2, 3, 4, 5)), signs)]  # fmt: skip
-    names, judge = judged(effect, whole[:4], whole[4:], all_alike, "always")
+    names, judge = judged(effect, whole[:4], whole[4:], compared, "always")
     assert names == ["push"] and judge.common().floor[2] < 0.1 * judge.common().old.mean()[2]
 
 

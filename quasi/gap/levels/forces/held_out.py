@@ -81,8 +81,9 @@ class HeldOut:
         """What judges causes that all flights have alike: where no flight is healthy, each of them as well, by the
         values from the others."""
         if not self.compared.all():
-            share = max(self.share, ASIDE)
-            return Common(lambda of, again: self.score(of, again).centred, self.old, self.floor, share)
+            share, old = max(self.share, ASIDE), wrench_score(self.held, before, True)
+            floor = self._least(self.held, old, True)
+            return Common(lambda of, again: self.score(of, again).centred, old, floor, share)
         in_turn, every = LeftOut(self.study, self.compared), [*self.held, *self.flights]
         old = joined(wrench_score(self.held, before, True), in_turn([], False))
         return Common(
