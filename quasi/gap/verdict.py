@@ -74,7 +74,7 @@ def judge_causes(case: Case, found: Found) -> tuple[Settled, unexplained.Left]:
         return unexplained.search(
             case.learning, case.compared, case.held, _given(found, settled, case.effects), residual,
             found.scores["noise_floor"], case.vehicle, case.settings["false alarm rate"] / SEARCHES,
-            case.settings["material share"],
+            case.settings["material share"], found.scores["centred floor"],
         )  # fmt: skip
 
     settled, left = _outdone(case, settled, found, left_by)

@@ -406,3 +406,23 @@ def test_time_varies_however_long_the_log_lay_on_the_ground(ground):
     assert [c.at for c in basis_of([late]).choices if c.where == "time" and c.at] == [
         pytest.approx((3600.0 + k * SECONDS / 6,), abs=0.1) for k in range(1, 6)
     ]
+
+
+def test_a_constant_error_makes_no_share_of_what_depends_on_a_place_larger(ground):
+    """Held against a floor with the constant error, what layers make had been all that could be removed."""
+
+    def wrong(columns, constant=0.0):
+        layers = 0.06 * np.tanh((columns["z"] + 1.2) / 0.3)
+        return only(2, layers + 0.01 * columns["u"] * columns["v"] + constant)
+
+    flights, floor = [flight(ground, s, wrong) for s in range(5)], NOISE**2
+    shares = []
+    for constant in (0.0, 0.08, 0.12):
+        held, best = [flight(ground, 90, lambda c, k=constant: wrong(c, k))], floor + only(2, [constant**2])[0]
+        left = search(
+            flights, [True] * 5, held, [], lambda f: f.residual, best, vehicle_of(ground[1]), 0.01, 0.05, floor
+        )
+        (entry,) = left.entries
+        assert (entry["channel"], entry["where"]) == ("Fz", "height")
+        shares.append(entry["share"])
+    assert 0.6 < shares[0] < 0.9 and shares == pytest.approx([shares[0]] * 3, rel=0.01)
