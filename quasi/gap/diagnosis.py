@@ -160,6 +160,7 @@ def diagnose(
     again = case.anew(kept)
     document = case.extended(kept, found and found.study, f"gap {name}", again)
     extended = Model(document, f"model {settings['extended model ID']}")
+    left_of = case.left(extended, kept, found and found.study, again, roles)
     floor = None
     if found is not None:
         at = found.study.values[compared.index(True)]
@@ -199,11 +200,10 @@ def diagnose(
     if found is not None:
         taken = [*(e["id"] for e in [*lower_effects, *named]), *(i for tie in ties for i in tie["ids"])]
         taken += ["rotor_effectiveness"] if why_rotor_is_enough(trim) else []
-        left_over = after(extended, model)
         # a constant force of the room goes by the heading along the body's axes
         constant = [u["channel"] for u in lists["unexplained"] if u["where"] in (EVERYWHERE, HEADING)]
         ties += constant_force_ties(
-            groups["compared"], groups["reference"], left_over, taken, asked_of,
+            groups["compared"], groups["reference"], left_of, taken, asked_of,
             min(found.level.values()), share, constant, _suspected(lists["candidates"]),
         )  # fmt: skip
         lists["unexplained"] = [u for u in lists["unexplained"] if not in_ties(u, ties)]
@@ -265,7 +265,7 @@ def diagnose(
     _since_when(result, references)
     add_probabilities(result)
     result["summary"] = summary(result, effects)
-    tables = wrench_tables(evidence, roles, case.left(extended, kept, found and found.study, again, roles))
+    tables = wrench_tables(evidence, roles, left_of)
     if len(lives):
         tables["forces_unexplained"] = lives
     tables |= {k: t for k, t in rolled.items() if isinstance(t, pd.DataFrame)}
