@@ -168,7 +168,8 @@ def diagnose(
     yardsticks = _yardsticks(case, found, kept, levels, floor)
     rolled = error_reduction.score(model, extended, flights, held, settings["horizons"], yardsticks)
     causes = [*((c.effect, c.value) for c in kept), *drive]
-    own = split_flights.judge(held, flights, learning, model, extended, causes, vehicle, settings["horizons"])
+    alike = groups["compared"] or learning  # what changed is no noise of the reference flights
+    own = split_flights.judge(held, flights, alike, model, extended, causes, vehicle, settings["horizons"])
     gap, scores, errors = scored(model, extended, found, kept, held, yardsticks, rolled, lower, document)
     flown = as_flown(vehicle, groups["compared"])
     named = [wrench_effect(c, flown, settled) for c in kept]

@@ -132,9 +132,8 @@ def _of_flights(case: Case, settled: Settled, made: Callable[[Sequence[Cause], b
         rest = [c for c in settled.causes if c is not cause]
         sides = [(made(of, anew), [*((c.effect, c.value) for c in of), *case.drive]) for of in (rest, settled.causes)]
         quantity = "velocity" if set(AXES[:3]) & set(cause.effect.channels) else "rate"
-        gone = split_flights.gain(
-            case.held, case.tables, case.learning, case.model, sides, case.vehicle, quantity, horizon
-        )
+        alike = [f for f, flag in zip(case.learning, case.compared) if flag]  # references have none of what changed
+        gone = split_flights.gain(case.held, case.tables, alike, case.model, sides, case.vehicle, quantity, horizon)
         if gone is None or gone > 0.0:
             continue
         why = (
