@@ -100,6 +100,15 @@ def test_a_mass_of_the_trim_is_known_as_its_logarithm_is():
     assert size["value"] == pytest.approx(MASS * np.exp(log)) and size["std"] == pytest.approx(std * size["value"])
 
 
+def test_measured_speeds_make_their_thrust_at_any_voltage():
+    """A map from command and voltage may err, and a full battery hid a fifth more thrust of measured speeds."""
+    asked = {k: 2000.0 * np.sqrt([1.2 if k[0] == "c" else 1.0] * 4) for k in SESSIONS}
+    tables = {k: table(s, i).assign(battery_voltage=14.5 if k[0] == "c" else 16.5)
+              for i, (k, s) in enumerate(asked.items())}  # fmt: skip
+    found = gather_trim(tables, ROLES_OF, SESSIONS, vehicle())
+    assert (found.document["word"], found.document["names"]) == ("named", ["mass"])
+
+
 def commanded(thrust):
     """Trim of flights that hold commands, of which compared ones are asked for `thrust` times as much."""
     tables = {
