@@ -201,11 +201,9 @@ def diagnose(
     if found is not None:
         taken = [*(e["id"] for e in [*lower_effects, *named]), *(i for tie in ties for i in tie["ids"])]
         taken += ["rotor_effectiveness"] if why_rotor_is_enough(trim) else []
-        # a constant force of the room goes by the heading along the body's axes
-        constant = [u["channel"] for u in lists["unexplained"] if u["where"] in (EVERYWHERE, HEADING)]
         ties += constant_force_ties(
             groups["compared"], groups["reference"], left_of, taken, asked_of,
-            min(found.level.values()), share, constant, _suspected(lists["candidates"]),
+            min(found.level.values()), share, _constants(lists["unexplained"]), _suspected(lists["candidates"]),
         )  # fmt: skip
         lists["unexplained"] = [u for u in lists["unexplained"] if not in_ties(u, ties)]
     for level in ("sensors", "drive"):
@@ -370,6 +368,11 @@ def _gains(
         entry["gain"]["rollout"] = main and main["value"]
         entry["rollout channel"] = main and main["quantity"]
         entry["rollout gain"] = main
+
+
+def _constants(unexplained: Sequence[Mapping[str, Any]]) -> list[str]:
+    """Axes on which held-out flights show a constant error; one of the room goes by the heading along the body's."""
+    return [u["channel"] for u in unexplained if u["judged"] and u["where"] in (EVERYWHERE, HEADING)]
 
 
 def _suspected(entries: Sequence[Mapping[str, Any]]) -> set[str]:

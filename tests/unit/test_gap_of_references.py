@@ -47,3 +47,10 @@ def test_a_flights_own_trim_is_held_against_flights_that_have_what_changed(said)
     """With the references' error by the drag as noise, it had been 0 +- 1 % of the weight."""
     trim = said["halves"]["flights"]["f4"]["trim"]["Fz"]
     assert trim["after"] == pytest.approx(TRIM, rel=0.02)
+
+
+def test_a_constant_error_that_held_out_flights_do_not_show_makes_no_small_force_material():
+    """A change that the trim refuses is unjudged, and had let a force far below the material share be a tie."""
+    entries = [("Fx", "everywhere", True), ("Fy", "heading", True), ("Fz", "everywhere", False), ("Mx", "speed", True)]
+    said = [{"channel": c, "where": where, "judged": judged} for c, where, judged in entries]
+    assert diagnosis._constants(said) == ["Fx", "Fy"]
