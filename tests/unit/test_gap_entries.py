@@ -4,11 +4,14 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from test_gap_extension import base_of
 
 from quasi.gap import verdict
-from quasi.gap.effect import Effect
-from quasi.gap.entries import ALONE, STRONGEST, WEAKER, candidates, gain_entry, needed, of_late_telemetry
+from quasi.gap.catalogue import catalogue
+from quasi.gap.effect import Effect, vehicle_of
+from quasi.gap.entries import ALONE, STRONGEST, WEAKER, candidates, gain_entry, needed, of_late_telemetry, tie_entry
 from quasi.gap.materiality import Cause
+from quasi.gap.selection import Tie
 from quasi.gap.statistics import mixed
 
 LEVEL = 1e-3
@@ -114,3 +117,14 @@ def test_the_one_figure_of_a_cause_is_of_the_channel_where_it_removes_most_of_th
     forces_alone = {axis: {"value": gain["value"]} for axis, gain in gains.items()}  # before roll-outs were scored
     assert gain_entry(wind, forces_alone)["gain channel"] == "Fz"
     assert gain_entry(wind, {"Fx": {"value": None, "removable": 0.0}})["gain channel"] is None
+
+
+@pytest.mark.parametrize("share", [0.25, -0.2])
+def test_a_tie_states_its_mass_as_a_name_does(share):
+    """Its column's factor, which divides by the true mass, had been stated: 0.516 for 0.5375 kg."""
+    vehicle, mass = vehicle_of(base_of("withGravity")), catalogue()["mass"]
+    found = mass.apparent({"mass": share * vehicle.mass}, vehicle)["mass"]
+    offer = mixed.Candidate("mass", "changed", (0,))
+    test = mixed.Test(offer, np.array([found]), np.array([[1e-6]]), 1.0, 400.0, 1e-9)
+    (stated,) = tie_entry("changed", Tie([test], 1.0), {"mass": mass}, vehicle)["parameters"]["mass"].values()
+    assert stated["value"] == pytest.approx((1.0 + share) * vehicle.mass) and stated["std"] > 1e-3
