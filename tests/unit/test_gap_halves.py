@@ -139,3 +139,26 @@ def test_windows_that_diverge_under_one_model_are_no_smaller_there(base, monkeyp
     sides = [(base, ()), (worse, ())]
     gone = split_flights.gain([evidence], {"a": table}, [evidence], base, sides, vehicle_of(base), "velocity", 0.5)
     assert abs(gone) < 0.01  # where both are known, the errors are small
+
+
+def test_a_trim_acts_on_the_mass_and_inertia_that_a_model_has(base, monkeypatch):
+    """What instruments of a vehicle show that is a fifth heavier than configured pushes it with a fifth more force."""
+    vehicle, given = vehicle_of(base), {}
+    heavier = [(catalogue()["mass"], {"mass": 0.2 * vehicle.mass})]
+    heavier.append((catalogue()["inertia"], {"Ixx": 0.5 * vehicle.inertia[0, 0]}))
+    extended = Model(extend(base, heavier, vehicle, "heavier", "test"), "heavier")
+    table, evidence = flown(base, base)
+    trim, simulated = np.array([0.01, 0.0, 0.02, 1e-4, 1e-4, 0.0]), split_flights.open_loop.simulated
+    found = split_flights.Own(float(np.median(evidence.t)), {}, {}, trim, np.zeros(6))
+    monkeypatch.setattr(split_flights, "own", lambda *args: found)
+
+    def seen(model, flight, starts, horizon, commands=None, offsets=None):
+        given.setdefault(model.id, []).append(offsets)
+        return simulated(model, flight, starts, horizon, commands, offsets)
+
+    monkeypatch.setattr(split_flights.open_loop, "simulated", seen)
+    split_flights.judge([evidence], {"a": table}, [evidence], base, extended, heavier, vehicle, [0.5])
+    (last,) = [offsets[0] for offsets in given["heavier"] if offsets is not None]
+    assert last == pytest.approx(trim * [1.2, 1.2, 1.2, 1.5, 1.0, 1.0], rel=0.02)
+    (first,) = [offsets[0] for offsets in given[base.id] if offsets is not None]
+    assert first == pytest.approx(trim)

@@ -191,7 +191,8 @@ def judge(
         contenders |= {"before, trimmed": (base, bare.trim), "after, trimmed": (fitted, mine.trim)}
         lags = np.array([count_steps(flight.t, h) for h in horizons])
         for who, (model, trim) in contenders.items():
-            offsets = None if trim is None else np.tile(trim, (len(starts), 1))
+            wanted = None if trim is None else np.tile(trim, (len(starts), 1))
+            offsets = None if wanted is None else open_loop.in_own_constants(wanted, model, flight)
             run = open_loop.simulated(model, flight, starts, max(horizons), None, offsets)
             errors = open_loop.vectors(run, flight, starts, lags)
             parts.setdefault(who, []).append(open_loop.table_of(flight, starts, errors, horizons))
