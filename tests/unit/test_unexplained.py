@@ -426,3 +426,21 @@ def test_a_constant_error_makes_no_share_of_what_depends_on_a_place_larger(groun
         assert (entry["channel"], entry["where"]) == ("Fz", "height")
         shares.append(entry["share"])
     assert 0.6 < shares[0] < 0.9 and shares == pytest.approx([shares[0]] * 3, rel=0.01)
+
+
+@pytest.mark.parametrize("logged", ["not at all", "but for a sample"])
+def test_no_function_is_offered_along_what_a_held_out_flight_does_not_know(ground, logged):
+    """Of the voltage that a held-out flight did not log, the diagnosis ended without a word."""
+
+    def flown_with(seed, volts):
+        one = flight(ground, seed, lambda c: only(2, 0.2 * np.tanh((c["z"] + 1.2) / 0.3)))
+        return dataclasses.replace(one, columns=one.columns | volts(one.columns["t"]))
+
+    flights = [flown_with(s, lambda t: {"battery_voltage": 16.0 - 0.03 * t}) for s in range(5)]
+    gap = {
+        "not at all": lambda t: {},
+        "but for a sample": lambda t: {"battery_voltage": np.where(t == t[9], np.nan, t)},
+    }
+    vehicle, held = vehicle_of(ground[1]), [flown_with(90, gap[logged])]
+    left = search(flights, [True] * 5, held, [], lambda f: f.residual, NOISE**2, vehicle, 0.01, 0.05)
+    assert [(e["channel"], e["where"]) for e in left.entries] == [("Fz", "height")]

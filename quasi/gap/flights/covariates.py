@@ -125,18 +125,19 @@ class Basis(NamedTuple):
         return np.stack(columns, axis=1) - self.mean
 
 
-def basis_of(flights: Sequence[Evidence]) -> Basis:
+def basis_of(flights: Sequence[Evidence], judges: Sequence[Evidence] = ()) -> Basis:
     """The functions to offer on these flights: along each place that all know and that varies.
 
+    judges  further flights that have to know a place, as held-out ones, which choose no function
     Everywhere alike. Along an ordinary place: a straight line, or Legendre polynomials to the third degree. Along the
     heading: one wave a turn, two, or both. Over the room's floor: polynomials of x and y to the second degree, or one
     bump at a place. In time a step, too.
     """
-    known = [places(f) for f in flights]
+    known, others = [places(f) for f in flights], [places(f) for f in judges]
     scales: dict[str, tuple[float, float]] = {}
     choices, at, first = [Choice(EVERYWHERE, (0,))], 1, {}
     for where in known[0]:
-        if not all(where in k for k in known):
+        if not all(where in k for k in (*known, *others)):
             continue
         # to the very ends: a flip lasts a hundredth of a flight, and a line that bends there is no term of the model's
         low, high = min(float(k[where].min()) for k in known), max(float(k[where].max()) for k in known)

@@ -73,7 +73,7 @@ def search(
     centred_floor = floor if centred_floor is None else centred_floor
     # what healthy flights show as well is mostly the form of the model's own terms
     least = {"changed": LEAST_LEFT, "always": LEAST_LEFT if all(compared) else LEAST_ABOVE_FLOOR["always"]}
-    grounds = grounds_of(flights, compared, causes, vehicle)
+    grounds = grounds_of(flights, compared, causes, vehicle, judges=held)
 
     def sure(found: Sequence[tuple[Place, Test]], joint: Joint, place: Place) -> bool:
         gain = (held, vehicle, centred_floor, share, least["always"])
