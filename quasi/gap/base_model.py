@@ -44,9 +44,11 @@ def explained_share(flights: Sequence[Evidence]) -> np.ndarray:
 def worth_of(model: Model, reference: Sequence[Evidence]) -> Worth:
     """How much the model explains of the rows that it was identified from and, where given, of reference flights.
 
-    Compared flights do not judge it: there an effect such as wind may hide all that the model explains.
+    Compared flights do not judge it: there an effect such as wind may hide all that the model explains. A published
+    model states no rows: what it explains of them is unknown (NaN), and it counts.
     """
-    known = {a: float(model.document["axes"].get(a, {}).get("R2", np.nan)) for a in AXES}
+    identified = {a: part for a, part in model.document["axes"].items() if part.get("n") != 0}
+    known = {a: float(identified.get(a, {}).get("R2", np.nan)) for a in AXES}
     shares = dict(known)
     if reference:
         shown = explained_share(reference)

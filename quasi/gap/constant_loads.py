@@ -23,8 +23,8 @@ Residual = Callable[[Evidence], np.ndarray]
 class Load(NamedTuple):
     """A direction of a constant force: its earth axes by name, axes of the vehicle on which a smaller one counts as
     well where held-out flights show it, causes that push so, others that would explain it where they are named, what
-    settles the tie, and the share of the weight by which flights differ anyway (standard deviation). A model is
-    identified with some vertical force, so that only a change of it shows; a small one may be a drift."""
+    settles the tie, and the shares of the weight by which flights, and sessions, differ anyway (standard deviations). A
+    model is identified with some vertical force, so that only a change of it shows; a small one may be a drift."""
 
     axes: dict[str, int]
     channels: tuple[str, ...]
@@ -32,6 +32,7 @@ class Load(NamedTuple):
     also: tuple[str, ...]
     tie_breaker: str
     spread: float
+    of_sessions: float = 0.0
     needs_references: bool = False
 
 
@@ -61,7 +62,8 @@ LOADS = (
         ),
         "weigh the vehicle; at rest the accelerometer shows 9.81 m/s2; if both are right, the thrust has changed, "
         "or the rotor speeds are logged wrong",
-        float(np.sqrt(FORCE_BIAS**2 + MASS_SPREAD**2 + THRUST_SPREAD**2 + SESSION_SEATING**2)),
+        float(np.sqrt(FORCE_BIAS**2 + MASS_SPREAD**2 + THRUST_SPREAD**2)),
+        SESSION_SEATING,
         needs_references=True,
     ),
 )
@@ -93,14 +95,13 @@ def constant_force_ties(
         spread = usual.std(axis=0, ddof=1) if len(usual) > 1 else np.zeros(len(axes))
         center = usual.mean(axis=0) if len(usual) else np.zeros(len(axes))
         weights = np.array([e.mass * GRAVITY for e in compared])
-        std = np.hypot(load.spread * weights[:, None], spread)
-        away = means - center
-        p = float(chi2.sf(np.sum((away / std) ** 2), away.size))
+        away, known = means - center, _covariances(load, compared, reference, spread)
+        p = float(chi2.sf(sum(a @ np.linalg.solve(c, a) for a, c in zip(away.T, known)), away.size))
         sizes = np.linalg.norm(away, axis=1) / weights
         small = np.median(sizes) < share and not set(load.channels) & set(shown)
         if p >= level or small or _varies(compared, left, axes, away):
             continue
-        mean, error = away.mean(axis=0), np.sqrt((std**2).mean(axis=0) / len(compared))
+        mean, error = away.mean(axis=0), np.sqrt([c.mean() for c in known])
         force = {n: {"value": float(v), "std": float(s), "unit": "N"} for n, v, s in zip(load.axes, mean, error)}
         ties.append(
             {"ids": asked, "since": "changed" if len(usual) else "always", "separability": 0.0,
@@ -109,6 +110,25 @@ def constant_force_ties(
                                 "by flight": {e.key: m.tolist() for e, m in zip(compared, away)}}}
         )  # fmt: skip
     return ties
+
+
+def _covariances(
+    load: Load, compared: Sequence[Evidence], reference: Sequence[Evidence], spread: np.ndarray
+) -> list[np.ndarray]:
+    """Covariance (F, F), N2, along each axis of what healthy compared flights are off the mean of the reference ones.
+
+    spread  (k,) standard deviation of the reference flights, N. All compared flights are off by what that mean errs,
+    and those of a session by what it differs by.
+    """
+    flights, count = [*compared, *reference], len(compared)
+    weights = np.array([e.mass * GRAVITY for e in flights])
+    off = np.eye(len(flights))[:count]
+    if reference:
+        off[:, count:] -= 1.0 / len(reference)
+    sessions = np.array([e.session for e in flights])
+    shared = sessions[:, None] == sessions[None, :]
+    both = load.of_sessions**2 * shared * np.outer(weights, weights)
+    return [off @ (np.diag((load.spread * weights) ** 2 + s**2) + both) @ off.T for s in spread]
 
 
 def in_ties(entry: Mapping[str, Any], ties: Sequence[Mapping[str, Any]]) -> bool:

@@ -160,6 +160,7 @@ def diagnose(
     again = case.anew(kept)
     document = case.extended(kept, found and found.study, f"gap {name}", again)
     extended = Model(document, f"model {settings['extended model ID']}")
+    left_of = case.left(extended, kept, found and found.study, again, roles)
     floor = None
     if found is not None:
         at = found.study.values[compared.index(True)]
@@ -167,7 +168,8 @@ def diagnose(
     yardsticks = _yardsticks(case, found, kept, levels, floor)
     rolled = error_reduction.score(model, extended, flights, held, settings["horizons"], yardsticks)
     causes = [*((c.effect, c.value) for c in kept), *drive]
-    own = split_flights.judge(held, flights, learning, model, extended, causes, vehicle, settings["horizons"])
+    alike = groups["compared"] or learning  # what changed is no noise of the reference flights
+    own = split_flights.judge(held, flights, alike, model, extended, causes, vehicle, settings["horizons"])
     gap, scores, errors = scored(model, extended, found, kept, held, yardsticks, rolled, lower, document)
     flown = as_flown(vehicle, groups["compared"])
     named = [wrench_effect(c, flown, settled) for c in kept]
@@ -187,7 +189,7 @@ def diagnose(
     lower_effects = [lower_effect(e, level, gap) for level in ("sensors", "drive") for e in levels[level]["effects"]]
     lower_effects, shifted = of_late_telemetry(lower_effects)
     corrected_ones = [e for e in lower_effects if corrected_at_import(e["id"], e["level"])]
-    if corrected_ones and not _correction_matters(model, lower, settings):
+    if corrected_ones and not _correction_matters(model, lower, settings, positions):
         for effect in corrected_ones:
             effect["explains"] = False
     lower_effects += [rotor_order.effect_of(order)] if order else []
@@ -199,12 +201,9 @@ def diagnose(
     if found is not None:
         taken = [*(e["id"] for e in [*lower_effects, *named]), *(i for tie in ties for i in tie["ids"])]
         taken += ["rotor_effectiveness"] if why_rotor_is_enough(trim) else []
-        left_over = after(extended, model)
-        # a constant force of the room goes by the heading along the body's axes
-        constant = [u["channel"] for u in lists["unexplained"] if u["where"] in (EVERYWHERE, HEADING)]
         ties += constant_force_ties(
-            groups["compared"], groups["reference"], left_over, taken, asked_of,
-            min(found.level.values()), share, constant, _suspected(lists["candidates"]),
+            groups["compared"], groups["reference"], left_of, taken, asked_of,
+            min(found.level.values()), share, _constants(lists["unexplained"]), _suspected(lists["candidates"]),
         )  # fmt: skip
         lists["unexplained"] = [u for u in lists["unexplained"] if not in_ties(u, ties)]
     for level in ("sensors", "drive"):
@@ -265,7 +264,7 @@ def diagnose(
     _since_when(result, references)
     add_probabilities(result)
     result["summary"] = summary(result, effects)
-    tables = wrench_tables(evidence, roles, case.left(extended, kept, found and found.study, again, roles))
+    tables = wrench_tables(evidence, roles, left_of)
     if len(lives):
         tables["forces_unexplained"] = lives
     tables |= {k: t for k, t in rolled.items() if isinstance(t, pd.DataFrame)}
@@ -371,6 +370,11 @@ def _gains(
         entry["rollout gain"] = main
 
 
+def _constants(unexplained: Sequence[Mapping[str, Any]]) -> list[str]:
+    """Axes on which held-out flights show a constant error; one of the room goes by the heading along the body's."""
+    return [u["channel"] for u in unexplained if u["judged"] and u["where"] in (EVERYWHERE, HEADING)]
+
+
 def _suspected(entries: Sequence[Mapping[str, Any]]) -> set[str]:
     """Causes of a change that are nearly significant."""
     return {c["id"] for c in entries if c["since"] == "changed" and c["p"] is not None and c["p"] < SUSPECT}
@@ -384,9 +388,13 @@ def _refit_loses(case: Case, found: Found) -> bool:
 
 
 def _correction_matters(
-    model: Model, lower: tuple[Sequence[Flown], Sequence[Flown]], settings: Mapping[str, Any]
-) -> bool:
-    """Whether correcting the sensors changes forces or simulations of held-out flights; taken to, where none judges."""
+    model: Model, lower: tuple[Sequence[Flown], Sequence[Flown]], settings: Mapping[str, Any],
+    excluded: tuple[int, ...] = (),
+) -> bool:  # fmt: skip
+    """Whether correcting the sensors changes forces or simulations of held-out flights; taken to, where none judges.
+
+    excluded  positions of axes that do not count
+    """
     sides = []
     for flights in lower:
         read = {f.key: (f.filtered, f.filtered_metadata, f.airframe) for f in flights}
@@ -394,7 +402,7 @@ def _correction_matters(
             evidence, _ = gather_all(read, model, RATE)
         except DataError:
             return True
-        sides.append((list(evidence.values()), {f.key: f.filtered for f in flights}))
+        sides.append(([replace(e, excluded=excluded) for e in evidence.values()], {f.key: f.filtered for f in flights}))
     if not all(evidence for evidence, _ in sides):
         return True
     return correction_matters(model, *sides, settings["horizons"], settings["material share"])

@@ -8,6 +8,7 @@ import numpy as np
 from quasi.gap.effect import Effect, Vehicle
 from quasi.gap.levels.corrections import uncorrected
 from quasi.gap.levels.forces.identify import Found
+from quasi.gap.levels.forces.search import estimate
 from quasi.gap.levels.rollouts.confirmation import Settled
 from quasi.gap.materiality import Cause
 
@@ -136,13 +137,12 @@ def of_late_telemetry(effects: Sequence[Mapping[str, Any]]) -> tuple[list[dict[s
 
 
 def tie_entry(since: str, tie: Any, effects: Mapping[str, Effect], vehicle: Vehicle) -> dict[str, Any]:
+    """A tie of forces and moments. vehicle  as in `wrench_effect`"""
     ids = [t.offer.cause for t in tie.tests]
     parameters = {}
     for test in tie.tests:
         effect = effects[test.offer.cause]
-        names = [effect.fitted[k] for k in test.offer.which]
-        value, std = dict(zip(names, test.value)), dict(zip(names, test.std))
-        parameters[effect.id] = parameters_of(effect, value, std, vehicle)
+        parameters[effect.id] = parameters_of(effect, *estimate(test, effect, vehicle), vehicle)
     breaker = next((b for i in ids if (b := effects[i].tie_breaker)), "")
     return {"ids": ids, "since": since, "separability": tie.separability, "tie_breaker": breaker,
             "parameters": parameters, "evidence": {"p": tie.tests[0].p, "axes apart": tie.apart}}  # fmt: skip
@@ -161,8 +161,10 @@ def candidates(found: Found, settled: Settled, share: float) -> list[dict[str, A
 
     for c, confirmation in settled.dropped:
         add(c.effect.id, c.since, c.test, confirmation.why)
+    for name, (test, why) in found.contradicted.items():
+        add(name, test.offer.since, test, why)
     for c in [*found.causes, *found.stand_ins]:
-        again, least = 100 * c.probability, 100 * needed(c, found)
+        again, least = 100 * c.probability, 100 * (needed(c, found) if c.needed is None else c.needed)
         why = f"found again in {again:.0f} % of the resamples only, expected {least:.0f} %"
         add(c.effect.id, c.since, c.test, why)
     for c in found.immaterial:
@@ -178,8 +180,6 @@ def candidates(found: Found, settled: Settled, share: float) -> list[dict[str, A
                 else "so little next to stronger causes that it may be their form"
             )
         add(c.effect.id, c.since, c.test, why)
-    for name, (test, why) in found.contradicted.items():
-        add(name, test.offer.since, test, why)
     for c in kept:
         for r in c.rivals:
             name = c.effect.id

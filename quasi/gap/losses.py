@@ -110,19 +110,22 @@ def reject_losing_causes(
 
 
 def correcting_others(
-    causes: Sequence[Cause], made: Callable[[Sequence[Cause]], Model], errors: Callable[[Model], np.ndarray]
-) -> list[Cause]:
+    causes: Sequence[Cause], made: Callable[[Sequence[Cause]], Model], errors: Callable[[Model], np.ndarray],
+    unjudged: Sequence[Cause] = (),
+) -> list[Cause]:  # fmt: skip
     """Causes that leave the axes where they act no better than these are without any cause, the weakest first: they
     correct the form of another, which makes these axes worse. The strongest one is no such.
 
     made  causes -> extended model; errors  extended model -> root mean square of what it leaves of the held-out
-    flights' forces and moments (6,)
+    flights' forces and moments (6,); unjudged  causes that held-out flights do not show: these leave their axes as
+    they are
     """
     kept, first = sorted(causes, key=lambda c: -c.test.wald), np.maximum(errors(made([])), 1e-300)
     gone = []
     while len(kept) > 1:
         grown = np.log(np.maximum(errors(made(kept)), 1e-300) / first)
-        poor = [c for c in kept[1:] if grown[seen_in(c.effect)].sum() >= 0.0]
+        shown = [c for c in kept[1:] if not any(c is other for other in unjudged)]
+        poor = [c for c in shown if grown[seen_in(c.effect)].sum() >= 0.0]
         if not poor:
             break
         gone.append(poor[-1])
@@ -194,7 +197,7 @@ def correction_matters(
     first, last  held-out flights (evidence, filtered tables by key) before and after the correction; share  of a
     squared error, from which a change counts. A fault of sensors below that is a finding and explains no gap.
     """
-    old, new = (wrench_squares(held, before).mean() for held, _ in (first, last))
+    old, new = (wrench_squares(held, lambda f: f.heard(before(f))).mean() for held, _ in (first, last))
     if np.any(np.abs(new - old) >= share * np.maximum(old, 1e-300)):
         return True
     ends = []
@@ -237,11 +240,11 @@ def trim_is_usual(held: Sequence[Evidence], left: Callable[[Evidence], np.ndarra
     """Whether the constant errors that an extended model leaves are those by which healthy flights differ.
 
     left  flight -> residual (n, 6). Each axis of each flight must stay within OWN_TRIM standard deviations of nuisances
-    together, or be no more than one standard deviation larger than before.
+    together, or be no more than one standard deviation larger than before. Excluded axes have no say.
     """
     for flight in held:
         usual = np.sqrt(sum((spread * column.mean(axis=0)) ** 2 for _, column, spread in nuisances(flight)))
-        last, first = (np.abs(residual.mean(axis=0)) for residual in (left(flight), flight.residual))
+        last, first = (np.abs(flight.heard(r).mean(axis=0)) for r in (left(flight), flight.residual))
         if np.any(last > np.maximum(OWN_TRIM * usual, first + usual)):
             return False
     return True

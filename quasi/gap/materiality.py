@@ -56,6 +56,7 @@ class Cause:
     probability: float = 0.0
     apart: float = 1.0
     asked: float | None = None
+    needed: float | None = None
 
 
 class Judged(NamedTuple):

@@ -15,7 +15,7 @@ import numpy as np
 from quasi.gap.catalogue import whole_of
 from quasi.gap.effect import Effect
 from quasi.gap.entries import needed
-from quasi.gap.flights.covariates import EVERYWHERE
+from quasi.gap.flights.covariates import EVERYWHERE, said
 from quasi.gap.levels.forces import unexplained
 from quasi.gap.levels.forces.beyond_references import left_beyond_references
 from quasi.gap.levels.forces.case import Case
@@ -48,8 +48,10 @@ DROWNED = "it makes so little of what no cause explains on its axes that it may 
 
 def judge_causes(case: Case, found: Found) -> tuple[Settled, unexplained.Left]:
     """The causes that stand, and what no cause explains. Ties that resamples do not bear out are taken from `found`."""
-    sure = [c for c in found.causes if c.probability >= needed(c, found)]
-    rare = [c for c in found.stand_ins if c.probability < needed(c, found)]
+    for cause in [*found.causes, *found.stand_ins]:
+        cause.needed = needed(cause, found)
+    sure = [c for c in found.causes if c.probability >= c.needed]
+    rare = [c for c in found.stand_ins if c.probability < c.needed]
     unsure = {(c.effect.id, c.since) for c in rare}
     found.ties = [(since, t) for since, t in found.ties if (t.tests[0].offer.cause, since) not in unsure]
     _drop_needless_ties(case, found)
@@ -64,7 +66,7 @@ def judge_causes(case: Case, found: Found) -> tuple[Settled, unexplained.Left]:
     if all(case.compared):
         settled = _borne_out(settled, case.settings["material share"])
     settled = _against_trim(case, settled)
-    settled = _harmless(case, settled, made)
+    settled = harmless = _harmless(case, settled, made, found.unjudged)
     settled = _of_use(case, settled, made, found.level)
 
     def left_by(settled: Settled) -> unexplained.Left:
@@ -72,14 +74,16 @@ def judge_causes(case: Case, found: Found) -> tuple[Settled, unexplained.Left]:
         return unexplained.search(
             case.learning, case.compared, case.held, _given(found, settled, case.effects), residual,
             found.scores["noise_floor"], case.vehicle, case.settings["false alarm rate"] / SEARCHES,
-            case.settings["material share"],
+            case.settings["material share"], found.scores["centred floor"],
         )  # fmt: skip
 
     settled, left = _outdone(case, settled, found, left_by)
     ties = found.ties
     rest = _next_to_unknown(case, settled, found, left)
     rest = _fainter_than_unknown(case, rest, found, left)
-    return (rest, left) if rest is settled and found.ties is ties else _outdone(case, rest, found, left_by)
+    if rest is not settled or found.ties is not ties:
+        rest, left = _outdone(case, rest, found, left_by)
+    return _with_losses_left(case, rest, harmless, made), left
 
 
 def _settled(case: Case, found: Found, causes: Sequence[Cause]) -> Settled:
@@ -128,9 +132,8 @@ def _of_flights(case: Case, settled: Settled, made: Callable[[Sequence[Cause], b
         rest = [c for c in settled.causes if c is not cause]
         sides = [(made(of, anew), [*((c.effect, c.value) for c in of), *case.drive]) for of in (rest, settled.causes)]
         quantity = "velocity" if set(AXES[:3]) & set(cause.effect.channels) else "rate"
-        gone = split_flights.gain(
-            case.held, case.tables, case.learning, case.model, sides, case.vehicle, quantity, horizon
-        )
+        alike = [f for f, flag in zip(case.learning, case.compared) if flag]  # references have none of what changed
+        gone = split_flights.gain(case.held, case.tables, alike, case.model, sides, case.vehicle, quantity, horizon)
         if gone is None or gone > 0.0:
             continue
         why = (
@@ -159,12 +162,15 @@ def _borne_out(settled: Settled, share: float) -> Settled:
 
 
 def _against_trim(case: Case, settled: Settled) -> Settled:
-    """Without changed causes that the trim in steady flight rejects, see `quasi.gap.levels.trim_evidence`."""
-    changed = [c for c in settled.causes if c.since == "changed"]
-    rejected = rejected_by_trim(case.trim, [(c.effect.id, c.value) for c in changed], case.vehicle.mass)
-    for k, why in rejected.items():
+    """Without changed causes that the trim in steady flight rejects, see `quasi.gap.levels.trim_evidence`, the worst
+    first: what it contradicts only together with that one stands."""
+    while True:
+        changed = [c for c in settled.causes if c.since == "changed"]
+        rejected = rejected_by_trim(case.trim, [(c.effect.id, c.value) for c in changed], case.vehicle.mass)
+        if not rejected:
+            return settled
+        k, why = next(iter(rejected.items()))
         settled = _without(settled, changed[k], why)
-    return settled
 
 
 def _drop_needless_ties(case: Case, found: Found) -> None:
@@ -179,7 +185,7 @@ def _drop_needless_ties(case: Case, found: Found) -> None:
     for since, tie in found.ties:
         if since == "changed" and any(t.offer.cause in OF_TOTAL_THRUST for t in tie.tests):
             found.contradicted |= {t.offer.cause: (t, why) for t in tie.tests}
-            found.stand_ins = [c for c in found.stand_ins if c.test.offer.cause != tie.tests[0].offer.cause]
+            found.stand_ins = [c for c in found.stand_ins if c.test.offer[:2] != tie.tests[0].offer[:2]]
         else:
             kept.append((since, tie))
     found.ties = kept
@@ -187,7 +193,8 @@ def _drop_needless_ties(case: Case, found: Found) -> None:
 
 def _significant_next_to_rotor(case: Case, found: Found, causes: Sequence[Cause]) -> list[Cause]:
     """The causes that are significant with the rotor given that the trim names, where forces and moments do not name
-    it; ties that are not are taken from `found`. What the rotor changes beyond the trim would look like another cause.
+    it, the least significant one left out first; ties that are not are taken from `found`. What the rotor changes
+    beyond the trim would look like another cause.
     """
     name = named_rotor(case.trim)
     named = any((c.effect.id, c.since) == ("rotor_effectiveness", "changed") for c in causes)
@@ -198,30 +205,32 @@ def _significant_next_to_rotor(case: Case, found: Found, causes: Sequence[Cause]
     mixed = found.study.witnessed(range(len(case.learning)), case.compared)
     offers = [*(c.test.offer for c in causes), *(tie.tests[0].offer for _, tie in found.ties)]
 
-    def why(offer: Candidate) -> str:
-        if offer.since != "changed" or offer.cause == given.cause:
-            return ""
-        p = mixed.test(offer, [given, *(o for o in offers if o != offer)], mixed.pooled("changed")).p
-        return f"p = {p:.2g} with {name} given, which the trim shows" if p >= found.level["changed"] else ""
-
-    kept, ties = [], []
+    gone: dict[Candidate, str] = {}
+    while asked := [o for o in offers if o.since == "changed" and o.cause != given.cause]:
+        others = {o: [given, *(r for r in offers if r != o)] for o in asked}
+        p, worst = max((mixed.test(o, rest, mixed.pooled("changed")).p, o) for o, rest in others.items())
+        if p < found.level["changed"]:
+            break
+        gone[worst] = f"p = {p:.2g} with {name} given, which the trim shows"
+        offers.remove(worst)
     for cause in causes:
-        if reason := why(cause.test.offer):
-            found.contradicted[cause.effect.id] = cause.test, reason
-        else:
-            kept.append(cause)
-    for since, tie in found.ties:
-        if reason := why(tie.tests[0].offer):
+        if cause.test.offer in gone:
+            found.contradicted[cause.effect.id] = cause.test, gone[cause.test.offer]
+    for _, tie in found.ties:
+        if reason := gone.get(tie.tests[0].offer):
             found.contradicted |= {t.offer.cause: (t, reason) for t in tie.tests}
-            found.stand_ins = [c for c in found.stand_ins if c.test.offer != tie.tests[0].offer]
-        else:
-            ties.append((since, tie))
-    found.ties = ties
-    return kept
+    found.stand_ins = [c for c in found.stand_ins if c.test.offer not in gone]
+    found.ties = [(since, tie) for since, tie in found.ties if tie.tests[0].offer not in gone]
+    return [c for c in causes if c.test.offer not in gone]
 
 
-def _harmless(case: Case, settled: Settled, made: Callable[[Sequence[Cause], bool], Model]) -> Settled:
-    """Without causes that make an axis or a simulation of the held-out flights worse."""
+def _harmless(
+    case: Case, settled: Settled, made: Callable[[Sequence[Cause], bool], Model], unjudged: Sequence[Cause]
+) -> Settled:
+    """Without causes that make an axis or a simulation of the held-out flights worse.
+
+    unjudged  causes that these hardly show
+    """
     if not settled.causes:
         return settled
 
@@ -231,18 +240,29 @@ def _harmless(case: Case, settled: Settled, made: Callable[[Sequence[Cause], boo
     def errors(model: Model) -> np.ndarray:
         return np.sqrt(wrench_score(case.held, after(model, case.model)).mean())
 
-    def worse(model: Model) -> list[Loss]:
-        horizons, share = case.settings["horizons"], case.settings["material share"]
-        return losses(case.model, model, case.held, case.tables, horizons, share, commanded=False)
-
-    for cause in correcting_others(settled.causes, model_of, errors) if case.held else []:
+    for cause in correcting_others(settled.causes, model_of, errors, unjudged) if case.held else []:
         settled = _without(
             settled, cause, "its axes stay as wrong as without any cause: it corrects what another errs by"
         )
-    _, rejected, left = reject_losing_causes(settled.causes, model_of, worse, errors)
+    _, rejected, left = reject_losing_causes(settled.causes, model_of, lambda model: _losses_of(case, model), errors)
     for cause, loss in rejected:
         settled = _without(settled, cause, f"with it {loss.sentence()}")
     return settled._replace(losses=left)
+
+
+def _losses_of(case: Case, model: Model) -> list[Loss]:
+    horizons, share = case.settings["horizons"], case.settings["material share"]
+    return losses(case.model, model, case.held, case.tables, horizons, share, commanded=False)
+
+
+def _with_losses_left(
+    case: Case, settled: Settled, judged: Settled, made: Callable[[Sequence[Cause], bool], Model]
+) -> Settled:
+    """The losses of the causes that are left in the end. judged  those causes that the losses were judged with"""
+    if len(settled.causes) == len(judged.causes):
+        return settled
+    causes = settled.causes
+    return settled._replace(losses=_losses_of(case, made(causes, case.anew(causes))) if causes else [])
 
 
 def _of_use(
@@ -333,8 +353,9 @@ def _fainter_than_unknown(case: Case, settled: Settled, found: Found, left: unex
         for entry in unknown:
             channel, where, p = entry["channel"], entry["where"], entry["evidence"]["p"]
             if AXES.index(channel) in axes and entry["since"] == cause.since and p < chance:
-                along = where if where == EVERYWHERE else f"along the {where}"
-                return f"{channel} differs {along} in a way that no cause explains, and more clearly (p = {p:.2g})"
+                return (
+                    f"{channel} differs {said(where)} in a way that no cause explains, and more clearly (p = {p:.2g})"
+                )
         return ""
 
     for stand_in in [c for c in found.stand_ins if why(c)]:
@@ -352,15 +373,18 @@ def drowned(own: np.ndarray, usual: np.ndarray, unknown: np.ndarray) -> bool:
 
 
 def _power(cause: Cause, case: Case) -> tuple[np.ndarray, np.ndarray]:
-    """Mean squares (6,) about each flight's mean, of what a cause makes in the compared flights and of their errors."""
+    """Mean squares (6,) about each flight's mean, of what a cause makes in the compared flights and of their errors;
+    excluded axes have neither, for nothing unknown is sought there."""
     flights = [f for f, flag in zip(case.learning, case.compared) if flag]
-    made = [whole_of(cause.effect, f, case.vehicle, cause.value) for f in flights]
-    return tuple(np.mean([np.var(v, axis=0) for v in of], axis=0) for of in (made, [f.residual for f in flights]))
+    made = [f.heard(whole_of(cause.effect, f, case.vehicle, cause.value)) for f in flights]
+    errors = [f.heard(f.residual) for f in flights]
+    return tuple(np.mean([np.var(v, axis=0) for v in of], axis=0) for of in (made, errors))
 
 
 def errors_beyond_references(case: Case, settled: Settled, found: Found) -> list[dict[str, Any]]:
     """Entries of "unexplained": what compared flights leave beyond the reference flights, with causes and ties."""
-    kept = [*settled.causes, *found.stand_ins]
+    firsts = {(tie.tests[0].offer.cause, since) for since, tie in found.ties}
+    kept = [*settled.causes, *(c for c in found.stand_ins if (c.effect.id, c.since) in firsts)]
     references = [f for f, flag in zip(case.learning, case.compared) if not flag]
     others = [f for f, flag in zip(case.learning, case.compared) if flag] + list(case.held)
     # ties are taken into account: what they explain is no secret

@@ -5,10 +5,12 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from quasi.gap import verdict
 from quasi.gap.flights.covariates import UNPLACED
 from quasi.gap.levels.forces.beyond_references import left_beyond_references
 from quasi.gap.report.next_steps import _visit
 from quasi.gap.report.wording import left_sentence
+from quasi.gap.statistics.candidates import Candidate
 from quasi.gap.statistics.log_ratio import larger
 
 ROWS, RATE = 500, 0.5 * 0.01 / 4
@@ -91,3 +93,22 @@ def test_without_a_prior_the_flights_state_their_own_spread():
     angle = np.arctan(t / np.sqrt(5))
     inside = 2 / np.pi * (angle + np.sin(angle) * (np.cos(angle) + 2 / 3 * np.cos(angle) ** 3))
     assert p == pytest.approx((1 - inside) / 2, rel=1e-6)
+
+
+@pytest.mark.parametrize("stands", [True, False])
+def test_a_tie_that_has_gone_explains_nothing_any_more(monkeypatch, stands):
+    """Its first cause was kept to be named among the candidates, and was taken off what stays unexplained."""
+    test = SimpleNamespace(offer=Candidate("wind", "changed", (0,)))
+    first = SimpleNamespace(effect=SimpleNamespace(id="wind"), since="changed", test=test)
+    ties = [("changed", SimpleNamespace(tests=[test]))] if stands else []
+    found, settled, taken = SimpleNamespace(stand_ins=[first], ties=ties, study=None), SimpleNamespace(causes=[]), []
+    monkeypatch.setattr(verdict, "Model", lambda document, where: document)
+    monkeypatch.setattr(verdict, "after", lambda model, base: None)
+    monkeypatch.setattr(verdict, "made_of", lambda model, flights: False)
+    monkeypatch.setattr(verdict, "left_beyond_references", lambda *given: [])
+    case = SimpleNamespace(
+        learning=[], compared=[], held=[], model=None, settings={"false alarm rate": 0.01}, anew=lambda causes: False,
+        extended=lambda causes, study, where, anew: taken.extend(causes),
+    )  # fmt: skip
+    verdict.errors_beyond_references(case, settled, found)
+    assert taken == ([first] if stands else [])

@@ -4,10 +4,14 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from test_gap_extension import base_of
 
-from quasi.gap.effect import Effect
-from quasi.gap.entries import ALONE, STRONGEST, WEAKER, gain_entry, needed, of_late_telemetry
+from quasi.gap import verdict
+from quasi.gap.catalogue import catalogue
+from quasi.gap.effect import Effect, vehicle_of
+from quasi.gap.entries import ALONE, STRONGEST, WEAKER, candidates, gain_entry, needed, of_late_telemetry, tie_entry
 from quasi.gap.materiality import Cause
+from quasi.gap.selection import Tie
 from quasi.gap.statistics import mixed
 
 LEVEL = 1e-3
@@ -53,6 +57,36 @@ def test_what_held_out_flights_cannot_judge_comes_again_more_often():
     assert share(9e-4, stronger, judged=False) == WEAKER
 
 
+def test_a_cause_that_the_rotor_of_the_trim_explains_is_said_to_be_that():
+    """It had been "found again in 100 % of the resamples only, expected 20 %"."""
+    wind = cause("wind", 1e-9, since="changed")
+    wind.probability, why = 1.0, "p = 0.3 with rotor 3 given, which the trim shows"
+    empty = {name: [] for name in ("stand_ins", "ties", "immaterial", "unjudged", "ranking")}
+    found = SimpleNamespace(causes=[wind], contradicted={"wind": (wind.test, why)}, level={"changed": LEVEL}, **empty)
+    (entry,) = candidates(found, SimpleNamespace(causes=[], dropped=[]), 0.05)
+    assert (entry["id"], entry["why_not"]) == ("wind", why)
+
+
+def test_the_share_of_resamples_that_was_needed_is_the_one_that_is_said(monkeypatch):
+    """A tie gave way later, and what had stood next to it was "found again in 60 % only, expected 20 %"."""
+
+    def stop(*given):
+        raise InterruptedError
+
+    faint, first = cause("wind", 9e-4, since="changed"), cause("mass", 1e-9, since="changed")
+    faint.probability, first.probability = 0.6, 1.0
+    tie = SimpleNamespace(tests=[first.test])
+    empty = {name: [] for name in ("immaterial", "unjudged", "ranking")}
+    found = SimpleNamespace(causes=[faint], stand_ins=[first], ties=[("changed", tie)], contradicted={},
+                            level={"changed": LEVEL}, **empty)  # fmt: skip
+    monkeypatch.setattr(verdict, "_significant_next_to_rotor", stop)
+    with pytest.raises(InterruptedError):
+        verdict.judge_causes(SimpleNamespace(trim=None), found)
+    verdict._drop_ties(found, first, "it gives way")
+    said = {e["id"]: e["why_not"] for e in candidates(found, SimpleNamespace(causes=[], dropped=[]), 0.05)}
+    assert said == {"mass": "it gives way", "wind": "found again in 60 % of the resamples only, expected 80 %"}
+
+
 def delay(name, value, std=0.001, since="always"):
     return {"id": name, "since": since, "parameters": {"delay": {"value": value, "std": std, "unit": "s"}}}
 
@@ -83,3 +117,14 @@ def test_the_one_figure_of_a_cause_is_of_the_channel_where_it_removes_most_of_th
     forces_alone = {axis: {"value": gain["value"]} for axis, gain in gains.items()}  # before roll-outs were scored
     assert gain_entry(wind, forces_alone)["gain channel"] == "Fz"
     assert gain_entry(wind, {"Fx": {"value": None, "removable": 0.0}})["gain channel"] is None
+
+
+@pytest.mark.parametrize("share", [0.25, -0.2])
+def test_a_tie_states_its_mass_as_a_name_does(share):
+    """Its column's factor, which divides by the true mass, had been stated: 0.516 for 0.5375 kg."""
+    vehicle, mass = vehicle_of(base_of("withGravity")), catalogue()["mass"]
+    found = mass.apparent({"mass": share * vehicle.mass}, vehicle)["mass"]
+    offer = mixed.Candidate("mass", "changed", (0,))
+    test = mixed.Test(offer, np.array([found]), np.array([[1e-6]]), 1.0, 400.0, 1e-9)
+    (stated,) = tie_entry("changed", Tie([test], 1.0), {"mass": mass}, vehicle)["parameters"]["mass"].values()
+    assert stated["value"] == pytest.approx((1.0 + share) * vehicle.mass) and stated["std"] > 1e-3

@@ -114,3 +114,51 @@ def test_a_flight_too_short_for_two_halves_tells_nothing(base):
     assert (
         split_flights.judge([short], {"a": table[table["t"] < 8.0]}, [evidence], base, base, (), vehicle, [0.5]) == {}
     )
+
+
+def test_windows_that_diverge_under_one_model_are_no_smaller_there(base, monkeypatch):
+    """What diverged counted with the largest of the rest, as if the model did well where it does worst."""
+    table, evidence = flown(base, base)
+    worse, vectors = stronger(base, 0.02), split_flights.open_loop.vectors
+
+    def diverging(run, flight, starts, lags):
+        found = vectors(run, flight, starts, lags) * (0.5 if run.worse else 1.0)
+        found[::2] = np.nan if run.worse else 10.0
+        return found
+
+    class Run:
+        def __init__(self, model, run):
+            self.worse, self.run = model is worse, run
+
+        def __getitem__(self, at):
+            return self.run[at]
+
+    simulated = split_flights.open_loop.simulated
+    monkeypatch.setattr(split_flights.open_loop, "simulated", lambda model, *args: Run(model, simulated(model, *args)))
+    monkeypatch.setattr(split_flights.open_loop, "vectors", diverging)
+    sides = [(base, ()), (worse, ())]
+    gone = split_flights.gain([evidence], {"a": table}, [evidence], base, sides, vehicle_of(base), "velocity", 0.5)
+    assert abs(gone) < 0.01  # where both are known, the errors are small
+
+
+def test_a_trim_acts_on_the_mass_and_inertia_that_a_model_has(base, monkeypatch):
+    """What instruments of a vehicle show that is a fifth heavier than configured pushes it with a fifth more force."""
+    vehicle, given = vehicle_of(base), {}
+    heavier = [(catalogue()["mass"], {"mass": 0.2 * vehicle.mass})]
+    heavier.append((catalogue()["inertia"], {"Ixx": 0.5 * vehicle.inertia[0, 0]}))
+    extended = Model(extend(base, heavier, vehicle, "heavier", "test"), "heavier")
+    table, evidence = flown(base, base)
+    trim, simulated = np.array([0.01, 0.0, 0.02, 1e-4, 1e-4, 0.0]), split_flights.open_loop.simulated
+    found = split_flights.Own(float(np.median(evidence.t)), {}, {}, trim, np.zeros(6))
+    monkeypatch.setattr(split_flights, "own", lambda *args: found)
+
+    def seen(model, flight, starts, horizon, commands=None, offsets=None):
+        given.setdefault(model.id, []).append(offsets)
+        return simulated(model, flight, starts, horizon, commands, offsets)
+
+    monkeypatch.setattr(split_flights.open_loop, "simulated", seen)
+    split_flights.judge([evidence], {"a": table}, [evidence], base, extended, heavier, vehicle, [0.5])
+    (last,) = [offsets[0] for offsets in given["heavier"] if offsets is not None]
+    assert last == pytest.approx(trim * [1.2, 1.2, 1.2, 1.5, 1.0, 1.0], rel=0.02)
+    (first,) = [offsets[0] for offsets in given[base.id] if offsets is not None]
+    assert first == pytest.approx(trim)

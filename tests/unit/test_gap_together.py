@@ -5,6 +5,7 @@ from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
+import pandas as pd
 import pytest
 from plain_plant import made_model, with_simple_model
 from test_gap_extension import base_of
@@ -28,7 +29,7 @@ from quasi.gap.levels.forces.smooth_functions import grounds_of
 from quasi.gap.levels.forces.spectral_peaks import Signal, search
 from quasi.gap.levels.rollouts import split_flights
 from quasi.gap.levels.sensors import held_out, identify
-from quasi.gap.losses import _of_forces, wrench_pairs
+from quasi.gap.losses import _of_forces, correction_matters, wrench_pairs
 from quasi.gap.materiality import Cause, material
 from quasi.gap.own_effect import effect_of
 from quasi.gap.selection import Tie
@@ -177,13 +178,14 @@ def test_an_axis_that_does_not_count_neither_makes_nor_spoils_a_name():
     assert silent.coefficients.tolist() == [[1.0, 0, 0, 0, 0, 0, 0]]
 
 
+@pytest.mark.parametrize("compared", [np.ones(4, bool), COMPARED], ids=["alone", "with references"])
 @pytest.mark.parametrize("size", [0.0, 0.015])
-def test_constant_errors_do_not_hide_what_all_flights_lack(size):
-    effect, all_alike = push({"Fz": "u*v"}, ("Fz",)), np.ones(4, bool)
+def test_constant_errors_do_not_hide_what_all_flights_lack(size, compared):
+    effect = push({"Fz": "u*v"}, ("Fz",))
     signs = size * VEHICLE.mass * 9.81 * np.array([1.0, -1.0, 1.0, -1.0, 1.0])
     whole = [shifted(f, {"Fz": 0.03 * f.columns["u"] * f.columns["v"] + c})
              for f, c in zip(map(flight, (1, 2, 3, 4, 5)), signs)]  # fmt: skip
-    names, judge = judged(effect, whole[:4], whole[4:], all_alike, "always")
+    names, judge = judged(effect, whole[:4], whole[4:], compared, "always")
     assert names == ["push"] and judge.common().floor[2] < 0.1 * judge.common().old.mean()[2]
 
 
@@ -302,3 +304,13 @@ def test_a_weak_rotor_acts_through_the_thrust_differences_of_yaw_but_for_those_n
     (name,) = [n for n in own if "(q)*(U_p" in n]
     along = [float(np.polyfit(one.columns["q"], c[name][:, 5], 1)[0]) for c in (own, again)]
     assert along[0] == pytest.approx(along[1], abs=0.1 * 2 * 1500.0 * 40.0)
+
+
+@pytest.mark.parametrize(("excluded", "matters"), [((), True), ((5,), False)])
+def test_a_correction_of_what_the_model_does_not_know_explains_nothing(excluded, matters):
+    """A gyro's scale changed the yaw moment, of which the model explains nothing, and the gap was "explained"."""
+    held = [shifted(flight(3), {}, excluded)]
+    wave = 1e-3 * np.sin(held[0].t)
+    table = pd.DataFrame(dict(held[0].columns))
+    sides = [([shifted(held[0], {"Mz": share * wave}, excluded)], {"f3": table}) for share in (1.0, 0.5)]
+    assert correction_matters(BASE, *sides, [0.5], 0.05) is matters

@@ -9,6 +9,7 @@ import pytest
 
 from quasi.command import main
 from quasi.errors import ConfigError, ExpressionError, QuasiError, ReadError
+from quasi.gap.base_model import worth_of
 from quasi.model.model import read_model
 from quasi.model.published import read_published
 
@@ -263,3 +264,9 @@ def test_files_that_are_no_models_are_refused(tmp_path):
             read_published(path)
     with pytest.raises(ConfigError, match="motor poles"):
         read_published(written(tmp_path), "m", 13)
+
+
+def test_a_published_model_is_worth_a_comparison(tmp_path):
+    """The rows that it was identified from are unknown, and counted as rows of which it explains nothing."""
+    worth = worth_of(read_published(written(tmp_path), "beetle", POLES), [])
+    assert worth.excluded == () and worth.sentence() == ""

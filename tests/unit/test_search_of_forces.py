@@ -126,3 +126,14 @@ def test_a_rotor_that_the_trim_contradicts_by_itself_leaves_the_others_to_ask():
     for says in (lambda causes: {}, None):
         assert sought._against_trim([rotor, cg], says, order) == ({}, {})
     assert sought._against_trim([cause("cg_offset", (0, 1, 2), "always")], against_cg, order) == ({}, {})
+
+
+def test_of_a_rotor_that_changed_otherwise_than_the_trim_shows_what_all_flights_have_stands():
+    """No change of rotor 1 was asked, and a rotor 1 that is weak in all flights lost its name without a word."""
+
+    def one(cause, since, which):
+        return Named(tests_on.Test(Candidate(cause, since, which), *[None] * 5), [])
+
+    named = [one("rotor_effectiveness", since, (k,)) for since in ("changed", "always") for k in (0, 1)]
+    found = sought._standing([*named, one("mass", "changed", (0,))], {"mass": ()}, {"rotor_effectiveness": {0}})
+    assert found == named[1:]

@@ -12,8 +12,8 @@ from scipy.signal import lfilter
 
 from quasi.airframe import read_airframe
 from quasi.gap.catalogue import catalogue
-from quasi.gap.effect import vehicle_of
-from quasi.gap.flights.covariates import places
+from quasi.gap.effect import Effect, Parameter, vehicle_of
+from quasi.gap.flights.covariates import basis_of, places
 from quasi.gap.flights.evidence import Evidence
 from quasi.gap.levels.forces import reproducibility as recurring
 from quasi.gap.levels.forces import unexplained
@@ -381,3 +381,66 @@ def test_products_without_functions_are_those_of_the_columns_without_them():
     left[:, 4, 0] -= basis[:, 1] * -0.7
     before, expected = (np.einsum("nki,nkj->kij", c, c) for c in (columns, left))
     np.testing.assert_allclose(_less(before, columns, basis, functions), expected, atol=1e-10)
+
+
+def test_a_cause_that_does_nothing_in_held_out_flights_stays_among_the_columns(ground):
+    """Its column was left out of theirs, and the search ended with shapes that do not fit."""
+    fast = Effect("fast", "forces", "", "", "", {"c": Parameter("N s/m", 0.0, "a", -5.0, 5.0, 0.05)}, ("Fx",),
+                  terms=lambda _: {"c": {"Fx": "0.5*(u - 3 + ((u - 3)^2)^0.5)"}})  # fmt: skip
+
+    def layered(columns):
+        return only(2, 0.2 * np.tanh((columns["z"] + 1.2) / 0.3))
+
+    held = flight(ground, 90, layered)
+    held = dataclasses.replace(held, columns={**held.columns, "u": 0.2 * held.columns["u"]})
+    flights, causes = [flight(ground, s, layered) for s in range(5)], [(fast, Candidate("fast", "always", (0,)), {})]
+    vehicle = vehicle_of(ground[1])
+    left = search(flights, [True] * 5, [held], causes, lambda f: f.residual, NOISE**2, vehicle, 0.01, 0.05)
+    assert [(e["channel"], e["where"]) for e in left.entries] == [("Fz", "height")]
+
+
+def test_time_varies_however_long_the_log_lay_on_the_ground(ground):
+    """Forty seconds after an hour were a fiftieth of the time, and no variable at all."""
+    one = flight(ground, 0)
+    late = dataclasses.replace(one, columns={**one.columns, "t": one.columns["t"] + 3600.0})
+    assert [c.at for c in basis_of([late]).choices if c.where == "time" and c.at] == [
+        pytest.approx((3600.0 + k * SECONDS / 6,), abs=0.1) for k in range(1, 6)
+    ]
+
+
+def test_a_constant_error_makes_no_share_of_what_depends_on_a_place_larger(ground):
+    """Held against a floor with the constant error, what layers make had been all that could be removed."""
+
+    def wrong(columns, constant=0.0):
+        layers = 0.06 * np.tanh((columns["z"] + 1.2) / 0.3)
+        return only(2, layers + 0.01 * columns["u"] * columns["v"] + constant)
+
+    flights, floor = [flight(ground, s, wrong) for s in range(5)], NOISE**2
+    shares = []
+    for constant in (0.0, 0.08, 0.12):
+        held, best = [flight(ground, 90, lambda c, k=constant: wrong(c, k))], floor + only(2, [constant**2])[0]
+        left = search(
+            flights, [True] * 5, held, [], lambda f: f.residual, best, vehicle_of(ground[1]), 0.01, 0.05, floor
+        )
+        (entry,) = left.entries
+        assert (entry["channel"], entry["where"]) == ("Fz", "height")
+        shares.append(entry["share"])
+    assert 0.6 < shares[0] < 0.9 and shares == pytest.approx([shares[0]] * 3, rel=0.01)
+
+
+@pytest.mark.parametrize("logged", ["not at all", "but for a sample"])
+def test_no_function_is_offered_along_what_a_held_out_flight_does_not_know(ground, logged):
+    """Of the voltage that a held-out flight did not log, the diagnosis ended without a word."""
+
+    def flown_with(seed, volts):
+        one = flight(ground, seed, lambda c: only(2, 0.2 * np.tanh((c["z"] + 1.2) / 0.3)))
+        return dataclasses.replace(one, columns=one.columns | volts(one.columns["t"]))
+
+    flights = [flown_with(s, lambda t: {"battery_voltage": 16.0 - 0.03 * t}) for s in range(5)]
+    gap = {
+        "not at all": lambda t: {},
+        "but for a sample": lambda t: {"battery_voltage": np.where(t == t[9], np.nan, t)},
+    }
+    vehicle, held = vehicle_of(ground[1]), [flown_with(90, gap[logged])]
+    left = search(flights, [True] * 5, held, [], lambda f: f.residual, NOISE**2, vehicle, 0.01, 0.05)
+    assert [(e["channel"], e["where"]) for e in left.entries] == [("Fz", "height")]

@@ -13,6 +13,8 @@ from quasi.model.columns import ROTORS
 CONSTANT_SPREAD = 0.02  # a variable whose scaled spread is smaller is as good as constant
 HEADING, ROOM_PLACE, EVERYWHERE = "heading", "room place", "everywhere"
 UNPLACED = "no place"  # where an error lives that no place orders
+IN_TIME = "frequency"  # where one lives that repeats in time
+SAID = {EVERYWHERE: EVERYWHERE, UNPLACED: "beyond what the reference flights leave", IN_TIME: "as a vibration does"}
 DIRECTED = ("forward speed", "sideways speed", "downward speed")  # along the body's axes
 # what a model's terms depend on; the voltage falls with what the rotors draw
 OWN_COVARIATES = ("speed", *DIRECTED, "rotor speed", "descent ratio", "roll rate", "pitch rate", "yaw rate", "volts")
@@ -39,6 +41,11 @@ UNITS_AT = {
     "yaw rate": "rad/s", **dict.fromkeys(DIRECTED, "m/s"),
     "frequency": "Hz",
 }  # fmt: skip
+
+
+def said(where: str) -> str:
+    """Where an error lives, in words that follow "differs"."""
+    return SAID.get(where) or f"along the {where}"
 
 
 def along(columns: Mapping[str, np.ndarray], hover: float, down: np.ndarray | None = None) -> dict[str, np.ndarray]:
@@ -118,22 +125,25 @@ class Basis(NamedTuple):
         return np.stack(columns, axis=1) - self.mean
 
 
-def basis_of(flights: Sequence[Evidence]) -> Basis:
+def basis_of(flights: Sequence[Evidence], judges: Sequence[Evidence] = ()) -> Basis:
     """The functions to offer on these flights: along each place that all know and that varies.
 
+    judges  further flights that have to know a place, as held-out ones, which choose no function
     Everywhere alike. Along an ordinary place: a straight line, or Legendre polynomials to the third degree. Along the
     heading: one wave a turn, two, or both. Over the room's floor: polynomials of x and y to the second degree, or one
     bump at a place. In time a step, too.
     """
-    known = [places(f) for f in flights]
+    known, others = [places(f) for f in flights], [places(f) for f in judges]
     scales: dict[str, tuple[float, float]] = {}
     choices, at, first = [Choice(EVERYWHERE, (0,))], 1, {}
     for where in known[0]:
-        if not all(where in k for k in known):
+        if not all(where in k for k in (*known, *others)):
             continue
         # to the very ends: a flip lasts a hundredth of a flight, and a line that bends there is no term of the model's
         low, high = min(float(k[where].min()) for k in known), max(float(k[where].max()) for k in known)
-        if where != HEADING and not high - low > CONSTANT_SPREAD * max(abs(high), abs(low), 1e-9):
+        # a heading comes round again, and time begins when the log did
+        varies = high - low > CONSTANT_SPREAD * max(abs(high), abs(low), 1e-9)
+        if where not in (HEADING, "time") and not varies:
             continue
         scales[where], first[where] = (low, high), at
         if where == HEADING:

@@ -22,8 +22,9 @@ MIN_STEADY = 3.0  # s, over which a controller's own slow motions average out
 
 
 class SteadyFlight(NamedTuple):
-    """thrust (4,) mean of squared speed, or of squared command times voltage, any unit; volts, mean or NaN; seconds;
-    contacts, how many with the floor or a wall were left out; source "speeds" or "commands"."""
+    """thrust (4,) mean of squared speed, or of squared command times voltage, any unit; volts, mean, NaN where unknown
+    or where speeds are measured, whose thrust follows no map of it; seconds; contacts, how many with the floor or a
+    wall were left out; source "speeds" or "commands"."""
 
     thrust: np.ndarray
     volts: float
@@ -72,8 +73,9 @@ def steady_flight(frame: pd.DataFrame, radius: float | None = None) -> SteadyFli
     seconds = float(rows.sum() * dt)
     if seconds < MIN_STEADY:
         raise ValueError(f"{seconds:.1f} s of steady flight, {MIN_STEADY:g} s are needed")
-    volts = frame["battery_voltage"].to_numpy(float)[rows] if "battery_voltage" in frame else np.array([np.nan])
-    return SteadyFlight(asked[rows].mean(axis=0), float(np.mean(volts)), seconds, len(runs_of(touched)), source)
+    mapped = source == "commands" and "battery_voltage" in frame
+    volts = float(np.mean(frame["battery_voltage"].to_numpy(float)[rows])) if mapped else np.nan
+    return SteadyFlight(asked[rows].mean(axis=0), volts, seconds, len(runs_of(touched)), source)
 
 
 def _without_ends(flying: np.ndarray, dt: float) -> np.ndarray:

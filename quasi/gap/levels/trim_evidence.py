@@ -96,7 +96,8 @@ def _parameters(name: str, found: Comparison, geometry: Geometry, vehicle: Vehic
             size = float(np.exp(value))
             result[key] = {"value": size, "std": size * std, "unit": "1"}
         elif key == "mass":
-            result[key] = {"value": vehicle.mass * float(np.exp(value)), "std": vehicle.mass * std, "unit": "kg"}
+            mass = vehicle.mass * float(np.exp(value))
+            result[key] = {"value": mass, "std": mass * std, "unit": "kg"}
         elif key.endswith("_cg"):
             result[key[0]] = {"value": geometry.arm * value, "std": geometry.arm * std, "unit": "m"}
         else:
@@ -230,7 +231,7 @@ def contradicted_by_trim(
         if gains[k] < REJECTED_LOG:
             i = int(np.argmax(np.abs(effects[k])))
             result[int(k)] = (
-                f"with it rotor {i + 1} would be asked for {100 * np.expm1(effects[k][i]):+.0f} % more thrust in "
+                f"with it rotor {i + 1} would be asked for {100 * np.expm1(together[i]):+.0f} % more thrust in "
                 f"steady flight, where the flights show {100 * np.expm1(found.change[i]):+.0f} % (log likelihood "
                 f"{gains[k]:.1f})"
             )

@@ -1,6 +1,7 @@
 """What causes do for flights that had no part in finding them: extended models of them, and what these leave."""
 
 from collections.abc import Callable, Collection, Mapping, Sequence
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -47,6 +48,12 @@ class HeldOut:
     def _least(self, flights: Sequence[Evidence], old: Score, centred: bool = False) -> np.ndarray:
         return least_left(self.study, self._asked, self.vehicle, self.compared, self._values, flights, old, centred)
 
+    @cached_property
+    def centred(self) -> tuple[Score, np.ndarray]:
+        """`old` and `floor` with each flight's mean taken off."""
+        old = wrench_score(self.held, before, True)
+        return old, self._least(self.held, old, True)
+
     def made(self, causes: Sequence[Cause], ident: str, fitted_anew: bool) -> dict[str, Any]:
         """The document of the model with some causes, its own terms fitted anew to the flights that learn or not."""
         changes = refit_with(self.study, self.compared, [(c, c.value) for c in causes]) if fitted_anew else None
@@ -82,9 +89,9 @@ class HeldOut:
         values from the others."""
         if not self.compared.all():
             share = max(self.share, ASIDE)
-            return Common(lambda of, again: self.score(of, again).centred, self.old, self.floor, share)
+            return Common(lambda of, again: self.score(of, again).centred, *self.centred, share)
         in_turn, every = LeftOut(self.study, self.compared), [*self.held, *self.flights]
-        old = joined(wrench_score(self.held, before, True), in_turn([], False))
+        old = joined(self.centred[0], in_turn([], False))
         return Common(
             lambda of, again: joined(self.score(of, again).centred, in_turn(of, again)), old,
             self._least(every, old, True), LACKING * self.share, made_of(self.model, self.flights),

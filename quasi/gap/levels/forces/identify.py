@@ -36,7 +36,7 @@ RESAMPLED_SEARCHES = 40  # resamples of the flights' blocks
 @dataclass
 class Found:
     """Result of the level. level {since: p that had to be passed}; scores {"before", "noise_floor"}: mean squares per
-    axis on held-out flights.
+    axis on held-out flights; "centred floor": with each flight's mean taken off.
 
     unjudged  those of the causes that the held-out flights do not excite; contradicted {cause: test, why}: those whose
     axes do not agree; stand_ins  the first cause of each tie; passed  why significant offers were passed over
@@ -116,10 +116,11 @@ def examine(
         cause.std = {n: s * flatness(cause.effect, study, vehicle, cause.value) for n, s in cause.std.items()}
     unjudged = [c for c in kept if any((c.effect.id, c.since) == (u.effect.id, u.since) for u in unjudged)]
     extended = judge.made(kept, name, any(c.since == "always" for c in kept))
-    old, new = (wrench_squares(held, left).mean() for left in (before, after(Model(extended, name), model)))
+    left = after(Model(extended, name), model)
+    old, new, centred = (wrench_squares(held, *of).mean() for of in ((before,), (left,), (left, True)))
     deaf = [k in {k for flight in flights for k in flight.excluded} for k in range(len(AXES))]
     floor = np.where(deaf, old, np.minimum(judge.floor, new))  # on axes that do not count nothing can be removed
-    scores = {"before": old, "noise_floor": floor}
+    scores = {"before": old, "noise_floor": floor, "centred floor": np.minimum(judge.centred[1], centred)}
     return Found(
         kept, ties, immaterial, sought.ranking, sought.level, study.lacking | unbearable, study, scores,
         extended, unjudged, contradicted | vague,

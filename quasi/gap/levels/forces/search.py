@@ -96,8 +96,7 @@ def seek(
         if not (elsewhere or torn or alone or refused):
             break
     ties = [(s, tie) for s, tie in ties if not any(t.offer.cause in contradicted for t in tie.tests)]
-    named = [n for n in named if n.test.offer.cause not in contradicted]
-    named = [n for n in named if not barred.get(n.test.offer.cause, frozenset()) & set(n.test.offer.which)]
+    named = _standing(named, contradicted, barred)
     named, ties, twins = _with_twins(named, ties, contradicted, asked, mixed)
     contradicted = {name: why for name, why in contradicted.items() if name not in twins}
     named, ties = _with_weaker_rotors(named, ties, asked, mixed, flown)
@@ -105,6 +104,14 @@ def seek(
     named, ties = _with_mass_or_thrust(named, ties, asked, mixed, study, compared)
     level, ranking = selection.level, selection.ranking
     return Sought(study, mixed, values, named, ties, ranking, level, contradicted, selection.rejected, flown, rules)
+
+
+def _standing(
+    named: Sequence[Named], contradicted: Mapping[str, tuple[Test, str]], barred: Mapping[str, frozenset[int]]
+) -> list[Named]:
+    """Named causes that are not contradicted, without changes of parameters of which no change is asked."""
+    offers = [(one, one.test.offer) for one in named if one.test.offer.cause not in contradicted]
+    return [one for one, o in offers if o.since != "changed" or not barred.get(o.cause, frozenset()) & set(o.which)]
 
 
 def share_on_axes(

@@ -76,18 +76,19 @@ def curved(causes: Sequence[Cause], compared: bool) -> dict[str, dict[str, float
 
 def grounds_of(
     flights: Sequence[Evidence], compared: Sequence[bool], causes: Sequence[Cause], vehicle: Vehicle,
-    like: Grounds | None = None,
+    like: Grounds | None = None, judges: Sequence[Evidence] = (),
 ) -> Grounds:  # fmt: skip
     """Cross-products of the flights' blocks with the causes' columns and all smooth functions.
 
     causes  effect, offer, values to linearise at; like  those whose functions and noise are taken over: held-out
-    flights choose neither
+    flights choose neither; judges  those flights, which have to know the places of the functions
     """
     effects = {e.id: e for e, *_ in causes}
-    study = gather_design(flights, effects, vehicle, [curved(causes, bool(flag)) for flag in compared])
+    values = [curved(causes, bool(flag)) for flag in compared]
+    study = gather_design(flights, effects, vehicle, values, idle=like is not None)  # with the columns of `like`
     if like is not None:
         study = study._replace(whitener=like.study.whitener)
-    basis = basis_of(flights) if like is None else like.basis
+    basis = basis_of(flights, judges) if like is None else like.basis
     parts, sums, thinned = [], [], []
     size = len(study.names)
     for flight, part in zip(flights, study.thinned):

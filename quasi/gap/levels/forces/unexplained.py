@@ -13,7 +13,7 @@ import numpy as np
 import pandas as pd
 
 from quasi.gap.effect import Vehicle
-from quasi.gap.flights.covariates import EVERYWHERE, OWN_COVARIATES
+from quasi.gap.flights.covariates import EVERYWHERE, IN_TIME, OWN_COVARIATES, said
 from quasi.gap.flights.evidence import Evidence
 from quasi.gap.flights.ranges import find_ranges, profile
 from quasi.gap.levels.forces import spectral_peaks as rhythm
@@ -62,19 +62,21 @@ def search(
     vehicle: Vehicle,
     rate: float,
     share: float,
+    centred_floor: np.ndarray | None = None,
 ) -> Left:
     """What stays unexplained.
 
     causes  accepted ones and those of ties: effect, offer, values to linearise at; left  flight -> (n, 6), the residual
-    of the extended model; floor (6,) mean squares; rate  family-wise false alarm rate, half of it for places, half for
-    frequencies; share  least material one
+    of the extended model; floor (6,) mean squares, centred_floor about each flight's mean, None for the same; rate
+    family-wise false alarm rate, half of it for places, half for frequencies; share  least material one
     """
+    centred_floor = floor if centred_floor is None else centred_floor
     # what healthy flights show as well is mostly the form of the model's own terms
     least = {"changed": LEAST_LEFT, "always": LEAST_LEFT if all(compared) else LEAST_ABOVE_FLOOR["always"]}
-    grounds = grounds_of(flights, compared, causes, vehicle)
+    grounds = grounds_of(flights, compared, causes, vehicle, judges=held)
 
     def sure(found: Sequence[tuple[Place, Test]], joint: Joint, place: Place) -> bool:
-        gain = (held, vehicle, floor, share, least["always"])
+        gain = (held, vehicle, centred_floor, share, least["always"])
         return beyond_doubt(grounds, compared, causes, found, joint, place, *gain)
 
     found = _held_up(grounds, compared, causes, 0.5 * rate, sure)
@@ -88,10 +90,14 @@ def search(
     entries: list[dict[str, Any]] = []
     parts: list[float] = []
 
-    def material(channel: int, gone: float, before: float, since: str) -> float | None:
+    def sides(where: str) -> tuple[np.ndarray, np.ndarray]:
+        """Mean squares (6,) before and at best, with constant errors where these are what it is about."""
+        return (whole, floor) if where in (EVERYWHERE, IN_TIME) else (centred, centred_floor)
+
+    def material(channel: int, where: str, gone: float, before: float, since: str) -> float | None:
         """The share of the removable squared error that is gone; nothing where that is too little."""
         before = max(before, gone)
-        part = gone / max(before - min(floor[channel], before - gone), 1e-300)
+        part = gone / max(before - min(sides(where)[1][channel], before - gone), 1e-300)
         return float(part) if gone > least[since] * before and part >= share else None
 
     profiles: list[pd.DataFrame] = []
@@ -99,7 +105,8 @@ def search(
 
     def say(channel: int, where: str, part: float | None, size: float, **rest: Any) -> None:
         # where the best fit leaves as much, what goes by a function is all there is, and no share of anything
-        shown = part if floor[channel] < HOLDS * whole[channel] else None
+        before, best = sides(where)
+        shown = part if best[channel] < HOLDS * before[channel] else None
         entries.append({"channel": AXES[channel], "where": where, "judged": part is not None, "share": shown,
                         "size": float(size), "unit": "N" if channel < 3 else "N m", **rest})  # fmt: skip
         parts.append(part or 0.0)
@@ -111,11 +118,11 @@ def search(
             others = joint_of(grounds, compared, causes, [(p, t) for p, t in found if p != place])
             without, together = (wrench_score(held, lambda f, j=j: residual_of(f, j, vehicle), True).mean()
                                  for j in (others, joint))  # fmt: skip
-            part = material(k, max(float(without[k] - together[k]), 0.0), float(without[k]), place.since)
+            part = material(k, where, max(float(without[k] - together[k]), 0.0), float(without[k]), place.since)
         else:
             slope, _ = slope_of(grounds, compared, judge.parts, joint, place)
-            before = whole if where == EVERYWHERE else centred
-            part = material(k, max(2.0 * slope - 1.0, 0.0) * here**2, float(before[k]), place.since)
+            before = float(sides(where)[0][k])
+            part = material(k, where, max(2.0 * slope - 1.0, 0.0) * here**2, before, place.since)
         # what a model's own terms depend on may be their form, unless healthy flights do not show it
         unjudged = here < SHOWN_SHARE * usual and (where not in OWN_COVARIATES or place.since == "changed")
         unjudged = unjudged and usual**2 > UNHEARD * float(found_in[k])
@@ -134,9 +141,9 @@ def search(
     for line in lines:
         power = np.mean([rhythm.amplitudes(line, s) for s in signals], axis=0)
         for k in np.flatnonzero(power > SECOND_AXIS * power.max()):
-            part = material(k, float(power[k]), float(whole[k]), line.since)
+            part = material(k, IN_TIME, float(power[k]), float(whole[k]), line.since)
             if part is not None:
-                say(k, "frequency", part, np.sqrt(power[k]), since=line.since, mostly=[[line.low, line.high]],
+                say(k, IN_TIME, part, np.sqrt(power[k]), since=line.since, mostly=[[line.low, line.high]],
                     evidence={"p": line.p, "seen along": line.view})  # fmt: skip
     table = pd.concat(profiles, ignore_index=True) if profiles else pd.DataFrame({"channel": [], "where": []})
     order = np.argsort(-np.array(parts), kind="stable")
@@ -193,10 +200,9 @@ def outdone(
         adds_more = function.p < min(level_of(grounds, compared, rate), cause.p)
         takes_most = adds_more and cause.wald < 0.5 * mixed.test(asked, others, pooled).wald
         if (place in found and cause.p >= level) or takes_most:
-            where = choice.where if choice.where == EVERYWHERE else f"along the {choice.where}"
             return (
-                f"{AXES[k]} differs {where} in a way that no cause explains (p = {function.p:.2g} with the cause "
-                f"given); with that given the cause has p = {cause.p:.2g}"
+                f"{AXES[k]} differs {said(choice.where)} in a way that no cause explains (p = {function.p:.2g} with "
+                f"the cause given); with that given the cause has p = {cause.p:.2g}"
             )
     return ""
 

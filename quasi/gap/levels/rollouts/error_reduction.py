@@ -37,6 +37,7 @@ from quasi.gap.levels.rollouts.open_loop import (
     commands_of,
     fell,
     flight_of,
+    in_own_constants,
     joined,
     overlays,
     rms,
@@ -46,7 +47,6 @@ from quasi.gap.levels.rollouts.open_loop import (
     vectors,
 )
 from quasi.gap.statistics import blocks
-from quasi.model.extensions import compute_flight_inertia, compute_flight_mass
 from quasi.model.model import Model
 
 TRIM_S, MARGIN, LEAST_S = 2.0, 0.1, 0.5  # s before a window; s that low-pass filters look ahead; s that must be valid
@@ -151,14 +151,8 @@ def simulated_errors(
 def _errors(track: Track, model: Model, base: Model, line: str, drive: Mapping[str, Any] | None) -> np.ndarray:
     course, offsets, commands, rotors = track.course, None, None, None
     if line == WITH_TRIM:
-        offsets = trim_of(track, after(model, base)(track.evidence))
-        # what instruments show with the configured constants, in the model's own
-        logged, mass = track.evidence.mass, compute_flight_mass(model, track.evidence.mass)
-        if mass and np.isfinite(logged):
-            offsets[:, :3] *= mass / logged
-        offsets[:, 3:] = offsets[:, 3:] @ np.linalg.solve(
-            track.course.inertia, compute_flight_inertia(model, track.course.inertia)
-        )
+        shown = trim_of(track, after(model, base)(track.evidence))
+        offsets = in_own_constants(shown, model, track.course.flight)
     if line == WITH_COMMANDS:
         commands = commands_of(model, course.flight)
         other = commanded.learned(drive, course.flight, model) if drive and commands is not None else None

@@ -139,6 +139,16 @@ def simulated(
     return run
 
 
+def in_own_constants(trim: np.ndarray, model: Model, flight: Flight) -> np.ndarray:
+    """A trim (S, 6) that instruments show with the configured mass and inertia, in those that a model has."""
+    mass, found = compute_flight_mass(model, flight.mass), trim.copy()
+    if mass and flight.mass is not None and np.isfinite(flight.mass):
+        found[:, :3] *= mass / flight.mass
+    if flight.inertia is not None:
+        found[:, 3:] = found[:, 3:] @ np.linalg.solve(flight.inertia, compute_flight_inertia(model, flight.inertia))
+    return found
+
+
 def vectors(run: np.ndarray, flight: Flight, starts: np.ndarray, lags: np.ndarray) -> np.ndarray:
     """Measured minus simulated at `lags` rows after the starts (S, K, VECTOR_SIZE), along the measured body axes.
 

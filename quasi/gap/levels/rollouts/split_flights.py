@@ -127,7 +127,8 @@ def gain(
     sums = np.zeros(2)
     for evidence in held:
         flight = open_loop.flight_of(evidence.key, tables[evidence.key], evidence.mass, evidence.inertia)
-        for k, (model, causes) in enumerate(sides):
+        ends = []
+        for model, causes in sides:
             level = wrench_score(learning, after(model, base)).mean()
             found = own(evidence, model, base, causes, vehicle, level)
             if found is None:
@@ -138,8 +139,9 @@ def gain(
             fitted = with_own(model, base, causes, found, vehicle) if found.parameters else model
             lags = np.array([count_steps(flight.t, horizon)])
             errors = open_loop.vectors(open_loop.simulated(fitted, flight, starts, horizon), flight, starts, lags)
-            ends = open_loop.table_of(flight, starts, errors, [horizon])[quantity]
-            sums[k] += float((open_loop.finite(ends) ** 2).sum())
+            ends.append(open_loop.table_of(flight, starts, errors, [horizon]))
+        if ends:  # halves are those of the flight, under either model
+            sums += [float(squared.sum()) for squared in open_loop.squares(ends, [quantity])]
     return 1.0 - float(sums[1] / sums[0]) if sums[0] > 0.0 else None
 
 
@@ -189,7 +191,8 @@ def judge(
         contenders |= {"before, trimmed": (base, bare.trim), "after, trimmed": (fitted, mine.trim)}
         lags = np.array([count_steps(flight.t, h) for h in horizons])
         for who, (model, trim) in contenders.items():
-            offsets = None if trim is None else np.tile(trim, (len(starts), 1))
+            wanted = None if trim is None else np.tile(trim, (len(starts), 1))
+            offsets = None if wanted is None else open_loop.in_own_constants(wanted, model, flight)
             run = open_loop.simulated(model, flight, starts, max(horizons), None, offsets)
             errors = open_loop.vectors(run, flight, starts, lags)
             parts.setdefault(who, []).append(open_loop.table_of(flight, starts, errors, horizons))
