@@ -10,6 +10,7 @@ from quasi.attitude import GRAVITY
 from quasi.errors import ConfigError
 from quasi.export.naming import identifier, shown
 from quasi.model.extensions import DEFAULT_LAG, drive_of, extensions_of, read_rotor_constants, read_speed_limits
+from quasi.model.hover import find_training_median
 from quasi.model.model import AXES, ROTORS, Model
 from quasi.terms.kernel import INPUTS
 from quasi.terms.variables import check_system_inputs
@@ -148,8 +149,7 @@ def voltage_of(model: Model) -> Voltage | None:
     reads = "battery_voltage" in extras_of(model)
     if not reads and not exponent:
         return None
-    covered = (model.document.get("envelope") or {}).get("battery_voltage", {})
-    start = covered.get("percentiles", {}).get("50")
+    start = find_training_median(model, "battery_voltage")
     if start is None and reads:
         raise ConfigError(
             f"model {model.id} reads the battery voltage but does not state that of its flights; make the model anew"

@@ -32,6 +32,7 @@ from quasi.export.contents import (
 from quasi.export.naming import shown
 from quasi.model.commands import extended_map
 from quasi.model.extensions import wind_of
+from quasi.model.hover import find_training_median
 from quasi.model.model import AXES, Model
 from quasi.tables import COLUMNS, read_text
 from quasi.terms.kernel import INPUTS
@@ -83,7 +84,8 @@ def forces_fmu(model: Model) -> Fmu:
         if at >= 16 and at < 20 and not model.uses_rotor_accelerations:
             continue
         unit, frame = COLUMNS.get(name, ("1", ""))[:2]
-        start = float(model.hover_speed or 1.0) if 12 <= at < 16 else _middle(model, name) if at >= 20 else 0.0
+        usual = model.hover_speed or 1.0 if 12 <= at < 16 else find_training_median(model, name) if at >= 20 else None
+        start = float(usual or 0.0)
         meaning = f"velocity through the air, {frame}" if name in "uvw" else f"{name}, {frame}" if frame else name
         variables.append(Variable(at, name, "input", "continuous", unit, start, shown(meaning)))
     first = len(INPUTS) + len(extras)
@@ -213,12 +215,6 @@ def _detailed(variable: Variable) -> Variable:
         unit, meaning = _OF_STATE[STATE_NAMES.index(name)]
         return variable._replace(unit=_SLOPE_UNIT[unit], meaning=f"derivative of {name}", derivative_of=name)
     return variable._replace(unit="N m") if variable.name in AXES[3:] else variable
-
-
-def _middle(model: Model, name: str) -> float:
-    """The median of an extra input over a model's training data, 0 where it is unknown."""
-    covered = (model.document.get("envelope") or {}).get(name, {})
-    return float(covered.get("percentiles", {}).get("50", 0.0))
 
 
 def _fmu(model: Model, kind: str, variables: Sequence[Variable], places: dict[str, int]) -> Fmu:

@@ -22,7 +22,7 @@ from quasi.airframe import Airframe
 from quasi.attitude import GRAVITY
 from quasi.errors import ConfigError, DataError
 from quasi.model.extensions import DEFAULT_LAG, drive_of, read_rotor_constants, read_speed_limits, wind_of
-from quasi.model.hover import find_hover_speed
+from quasi.model.hover import check_flyable, find_hover_speed, find_training_median
 from quasi.model.model import Model
 from quasi.project import configuration
 from quasi.simulation.control.controllers import make_controller
@@ -142,12 +142,8 @@ def make_setup(
     reference = read_table(settings, "references", directory, name) if reference is None else reference
     asked = settings["model"]
     model = apply_extensions(model) if asked["use identified model"] else make_simple_model(model)
-    if len(model.axes) < 6:
-        lacking = [a for a in ("Fx", "Fy", "Fz", "Mx", "My", "Mz") if a not in model.axes]
-        raise DataError(f"model {model.id} lacks {', '.join(lacking)}; a simulation needs all six axes")
+    check_flyable(model, "a simulation")
     airframe = model.airframe
-    if airframe.mass is None:
-        raise DataError(f"model {model.id} has no mass; fill in 'Mass' in the logbook and build it again")
     dt, substeps = float(settings["simulation"]["time step"]), int(settings["simulation"]["substeps"])
     steps = round(settings["simulation"]["duration"] / dt)
     if steps < 1:
@@ -363,8 +359,7 @@ def _make_battery(
     place, clock = (extras.index(n) if n in extras else -1 for n in ("battery_voltage", "t"))
     start = asked["voltage"]
     if start is None and place >= 0:
-        covered = (model.document.get("envelope") or {}).get("battery_voltage", {})
-        start = covered.get("percentiles", {}).get("50")
+        start = find_training_median(model, "battery_voltage")
         if start is None:
             raise ConfigError(f"{name}: model {model.id} has terms in the battery voltage; give 'battery' / 'voltage'")
         notes.append(f"the battery begins at {start:.2f} V, the median of the model's training flights")

@@ -17,6 +17,7 @@ from numba import njit
 from quasi.attitude import GRAVITY, from_euler, to_euler
 from quasi.errors import DataError, ShapeError
 from quasi.model.extensions import DEFAULT_LAG, drive_of, read_rotor_constants, read_speed_limits, wind_of
+from quasi.model.hover import check_flyable
 from quasi.model.model import Model
 from quasi.simulation.vehicle.dynamics import (
     RK4,
@@ -178,11 +179,7 @@ def replay(
     model = apply_extensions(model)
     parts, recorded, blows = read_payload_and_inflow(model), read_rotor_constants(model), wind_of(model)
     model = drop_quasi_steady_terms(model)
-    if len(model.axes) < 6:
-        lacking = [a for a in ("Fx", "Fy", "Fz", "Mx", "My", "Mz") if a not in model.axes]
-        raise DataError(f"model {model.id} lacks {', '.join(lacking)}; a roll-out needs all six axes")
-    if model.airframe.mass is None:
-        raise DataError(f"model {model.id} has no mass; fill in 'Mass' in the logbook and build it again")
+    check_flyable(model, "a roll-out")
     t, states = np.ascontiguousarray(t, float), np.ascontiguousarray(states, float)
     starts = np.asarray(starts, np.int64)
     n, count = len(t), len(starts)
