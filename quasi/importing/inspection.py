@@ -19,7 +19,6 @@ from quasi.importing.onboard_log import (
     BODY_VELOCITY,
     POSITION_COLUMNS,
     VELOCITY_COLUMNS,
-    motor_poles,
     read_onboard,
     require_motion,
 )
@@ -101,7 +100,7 @@ def inspect_flight(settings: Mapping[str, Any]) -> dict[str, Any]:
 def _read_onboard(flight: Mapping[str, Any], quadrotor: Mapping[str, Any]) -> Read | None:
     if not flight.get("onboard"):
         return None
-    recording = read_onboard(flight, quadrotor, motor_poles(quadrotor)[0])
+    recording = read_onboard(flight, quadrotor)
     notes = list(recording.notes)
     gyro = _motion(recording, flight, notes).gyro
     about = recording.metadata
