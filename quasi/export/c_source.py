@@ -14,7 +14,6 @@ import numpy as np
 from quasi.export.command_map import c_map
 from quasi.export.contents import (
     MEANINGS,
-    actuators_of,
     check_exportable,
     constants_of,
     differential_inputs,
@@ -26,6 +25,7 @@ from quasi.export.contents import (
 )
 from quasi.export.listing import Listing, Output, Writer, of_derivatives, of_model, of_region, weighted
 from quasi.export.naming import local, shown
+from quasi.model.extensions import actuators_of
 from quasi.model.model import AXES, Model
 from quasi.terms.differential import RATES
 from quasi.terms.kernel import INPUTS

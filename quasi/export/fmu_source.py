@@ -21,7 +21,6 @@ from quasi.errors import ConfigError
 from quasi.export.c_source import c_files
 from quasi.export.command_map import constants_of_map
 from quasi.export.contents import (
-    actuators_of,
     check_exportable,
     check_vehicle,
     extras_of,
@@ -31,8 +30,8 @@ from quasi.export.contents import (
 )
 from quasi.export.naming import shown
 from quasi.model.commands import extended_map
-from quasi.model.extensions import wind_of
-from quasi.model.hover import find_training_median
+from quasi.model.extensions import actuators_of, wind_of
+from quasi.model.hover import check_flyable, find_training_median
 from quasi.model.model import AXES, Model
 from quasi.tables import COLUMNS, read_text
 from quasi.terms.kernel import INPUTS
@@ -105,14 +104,11 @@ def vehicle_fmu(model: Model) -> Fmu:
     """A whole quadrotor: commanded rotor speeds and wind in, its motion out.
 
     Where the model carries a map from commands to rotor speeds, commands and battery voltage can drive it instead.
-    Raises ConfigError for a model that lacks an axis or the mass, or that reads what a vehicle does not know, by name.
+    Raises DataError for a model that lacks an axis or the mass, ConfigError for one that reads what a vehicle does not
+    know, by name.
     """
     check_vehicle(model)
-    lacking = [axis for axis in AXES if axis not in model.axes]
-    if lacking:
-        raise ConfigError(f"model {model.id} lacks {', '.join(lacking)}; a vehicle needs all six axes")
-    if model.airframe.mass is None:
-        raise ConfigError(f"model {model.id} knows no mass; fill in 'Mass' in the logbook and make it anew")
+    check_flyable(model, "a vehicle")
     unknown = [name for name in extras_of(model) if name != "battery_voltage"]
     if unknown:
         raise ConfigError(

@@ -16,8 +16,8 @@ import numpy as np
 
 from quasi.attitude import GRAVITY
 from quasi.errors import DataError
-from quasi.export.contents import Actuators, actuators_of, check_exportable
-from quasi.model.extensions import drive_of
+from quasi.export.contents import check_exportable
+from quasi.model.extensions import Actuators, actuators_of, drive_of
 from quasi.model.hover import find_hover_position, find_hover_speed, list_usual_inputs
 from quasi.model.model import AXES, Model
 from quasi.terms.kernel import INPUTS
