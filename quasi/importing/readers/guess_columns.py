@@ -178,12 +178,10 @@ def _quantities(table: pd.DataFrame, remarks: list[str], taken: set[str]) -> dic
     """{quantity: entry of the mapping} of what a table holds beyond what was taken."""
     columns: dict[str, Any] = {}
 
-    def put(names: tuple[str, ...], found: list[str] | None, unit: str = "", frame: str = "") -> None:
+    def put(names: tuple[str, ...], found: list[str] | None, unit: str = "") -> None:
         if found and not taken & set(names):
             for quantity, name in zip(names, found):
-                columns[quantity] = (
-                    {"column": name} | ({"unit": unit} if unit else {}) | ({"frame": frame} if frame else {})
-                )
+                columns[quantity] = {"column": name} | ({"unit": unit} if unit else {})
 
     for names, patterns in VECTOR_PATTERNS:
         found = _columns(table, patterns, 3)
