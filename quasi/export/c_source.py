@@ -48,11 +48,9 @@ def number(value: float) -> str:
 
 
 def _call(function: str, parts: Sequence[str]) -> str:
-    return f"{function}_of({parts[0]})" if function in ("sign", "wrap") else f"{_macro(function)}({', '.join(parts)})"
-
-
-def _macro(function: str) -> str:
-    return _MATHS[function].upper()
+    if function in ("sign", "wrap"):
+        return f"{function}_of({parts[0]})"
+    return f"{_MATHS[function].upper()}({', '.join(parts)})"
 
 
 WRITER = Writer(number, _call, local)

@@ -78,7 +78,7 @@ def read_crazyflie(path: str | Path, mapping: Mapping[str, Any] | None = None, p
             "checksum": log.checksum,
             "ended": log.checksum != "missing",
             "event types": {event.name: {"records": len(event.chunks)} for event in log.types.values()},
-            "variables not mapped": _unused(signals.columns, mapping),
+            "variables not mapped": [name for name in signals.columns if f"'{name}'" not in str(mapping)],
             "reversed": [name for name in signals.columns if name.rsplit("/", 1)[-1] in REVERSED_PITCH],
         }
     )
@@ -115,12 +115,6 @@ def _signals(log: EventLog, main: EventType) -> Signals:
             {f"{before}{name}": -v if name in REVERSED_PITCH else v for name, v in values.items()}
         )
     return Signals(frames, clocks)
-
-
-def _unused(names: Collection[str], mapping: Mapping[str, Any]) -> list[str]:
-    """Variables that no quantity takes."""
-    used = str(mapping)
-    return [name for name in names if f"'{name}'" not in used]
 
 
 def _read(request: Request) -> Recording:

@@ -50,7 +50,9 @@ def show_reference_flight(
         steps = min(pace.count_due_steps(now), left)
         if steps > 0 and ended is None and not paused:
             ended = flight.advance(None, steps)
-        target = _target(flight.setpoint()) if flight.t > 0.0 else None
+        setpoint, target = flight.setpoint(), None
+        if flight.t > 0.0 and setpoint[0] == POSITION_SETPOINT:
+            target = setpoint[1:4]
         error = None if target is None else float(np.linalg.norm(flight.state()[10:13] - target))
         if error is not None and steps > 0 and not paused:
             errors.append(error)
@@ -60,10 +62,6 @@ def show_reference_flight(
     if errors:
         text += f", position error {np.sqrt(np.mean(np.square(errors))):.2f} m rms, {max(errors):.2f} m at most"
     return f"{text}; {ended}" if ended else text
-
-
-def _target(setpoint: np.ndarray) -> np.ndarray | None:
-    return setpoint[1:4].copy() if setpoint[0] == POSITION_SETPOINT else None
 
 
 def describe_flight(flight: Session, pace: Pace, ended: str | None, paused: bool, error: float | None) -> str:
