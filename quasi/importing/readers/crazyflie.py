@@ -16,7 +16,7 @@ from quasi.errors import Caution, ReadError
 from quasi.importing.readers.crazyflie_events import EventLog, EventType, decode_events
 from quasi.importing.readers.reader import Reader, Request
 from quasi.importing.readers.signals import Signals
-from quasi.importing.readers.table_mapping import read_mapping
+from quasi.importing.readers.table_mapping import QUATERNION, VECTOR_COLUMNS, read_mapping
 from quasi.importing.readers.table_reader import read_signals
 from quasi.importing.series import Recording
 from quasi.tables import read_bytes
@@ -37,8 +37,6 @@ STANDARD: dict[str, tuple[tuple[str, str], ...]] = {
     "throttle": (("stabilizer.thrust", "1/65535"),),
     "battery_voltage": (("pm.vbatMV", "mV"), ("pm.vbat", "V")),
 }
-LOGGED_TOGETHER = (("p", "q", "r"), ("ax", "ay", "az"), ("qw", "qx", "qy", "qz"), ("x", "y", "z"), ("vx", "vy", "vz"),
-          ("linear_ax", "linear_ay", "linear_az"))  # fmt: skip
 REVERSED_PITCH = (f"{ESTIMATE}.pitch", "stabilizer.pitch")
 MIN_RECORDS = 20  # as of a table's rows
 
@@ -95,7 +93,7 @@ def standard_mapping(names: Collection[str]) -> dict[str, Any]:
         found = next(((name, unit) for name, unit in candidates if name in names), None)
         if found is not None:
             columns[quantity] = {"column": found[0], "unit": found[1]}
-    for group in LOGGED_TOGETHER:
+    for group in (*VECTOR_COLUMNS.values(), QUATERNION):
         if not all(name in columns for name in group):
             for name in group:
                 columns.pop(name, None)
