@@ -286,7 +286,7 @@ def lvm_seeds(rng: np.random.Generator) -> list[bytes]:
 
 def read_log(path: Path) -> Recording:
     """A flight controller's log as the import reads it: format by content, axes, checks, delays by its settings."""
-    recording = read_onboard({"onboard": path, "flight controller": "betaflight", "log number": None}, {}, None)
+    recording = read_onboard({"onboard": path, "flight controller": "betaflight", "log number": None}, {})
     for one in header_delays(recording.metadata["header"], not recording.metadata.get("header lines lost")).values():
         assert 0.0 <= one["value"] < 1.0 and 0.0 <= one["std"] < 1.0, "a delay that no filter has"
     assert all(note.isprintable() for note in recording.notes), "raw bytes in a note"
@@ -316,7 +316,7 @@ def crazyflie_seeds(rng: np.random.Generator) -> list[bytes]:
 
 def read_crazyflie_log(path: Path) -> Recording:
     """A micro-SD log as the import reads it, with the sensors that it lacks made from the others."""
-    recording = read_onboard({"onboard": path, "flight controller": "crazyflie", "log number": None}, {}, None)
+    recording = read_onboard({"onboard": path, "flight controller": "crazyflie", "log number": None}, {})
     with contextlib.suppress(QuasiError):  # too little to make them of is for the import to say
         made = require_motion(recording, str(path), [])
         assert all(np.isfinite(s.values).all() for s in (made.gyro, made.force)), "a sensor made of nothing"
@@ -341,7 +341,7 @@ def read_as(controller: str, suffix: str = "", quadrotor: dict | None = None) ->
         if suffix:
             named.write_bytes(path.read_bytes())
         flight = {"onboard": named, "flight controller": controller, "log number": None}
-        return read_onboard(flight, quadrotor or {}, None)
+        return read_onboard(flight, quadrotor or {})
 
     return read
 

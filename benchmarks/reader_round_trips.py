@@ -199,7 +199,7 @@ def flight_log(
     flight.t = flight.t - flight.t[0]
     path = write(folder, flight)
     asked = {"onboard": path, "flight controller": controller, "log number": None}
-    recording = read_onboard(asked, {"table columns": TABLE_COLUMNS} if controller == "table" else {}, None)
+    recording = read_onboard(asked, {"table columns": TABLE_COLUMNS} if controller == "table" else {})
     compare_flight(recording, flight, RESOLUTION.get(LIMITS.get(controller, ""), RESOLUTION["default"]), steps or {})
 
 

@@ -161,9 +161,6 @@ def read_airframe(config: Mapping[str, Any], where: str, mass: float | None = No
         spin[int(key) - 1] = 1.0 if str(turn).upper() == "CW" else -1.0
 
     offset = config.get("optitrack marker cg offset") or {}
-    poles = number(config, "motor poles", where)
-    if poles is not None and (poles < 2 or poles % 2):
-        raise ConfigError(f"{where}: 'motor poles' is {poles:g}, expected an even number of magnets such as 12 or 14")
     if mass is None:
         mass = number(config, "mass", where)
     if mass is not None and mass <= 0:
@@ -180,7 +177,7 @@ def read_airframe(config: Mapping[str, Any], where: str, mass: float | None = No
         arm=arm,
         hubs=hubs,
         spin=spin,
-        poles=int(poles) if poles is not None else None,
+        poles=read_poles(config, where),
         idle_rpm=number(config, "idle RPM", where),
         max_rpm=number(config, "max RPM", where),
         marker_offset=np.array([number(offset, axis, f"{where}, marker offset", 0.0) for axis in "xyz"]),
@@ -190,6 +187,14 @@ def read_airframe(config: Mapping[str, Any], where: str, mass: float | None = No
     )
     _refuse_slips_of_units(made, config.get("imu position"))
     return made
+
+
+def read_poles(config: Mapping[str, Any], where: str) -> int | None:
+    """Magnets of a motor by a quadrotor configuration; None where it does not say. Raises ConfigError."""
+    poles = number(config, "motor poles", where)
+    if poles is not None and (poles < 2 or poles % 2):
+        raise ConfigError(f"{where}: 'motor poles' is {poles:g}, expected an even number of magnets such as 12 or 14")
+    return None if poles is None else int(poles)
 
 
 def _refuse_slips_of_units(airframe: Airframe, imu: Any) -> None:

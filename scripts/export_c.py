@@ -3,8 +3,8 @@
 from quasi.export.agreement import hand_over
 from quasi.export.c_source import c_files
 from quasi.export.compiler import NO_COMPILER, find_compiler, write_files
-from quasi.export.contents import actuators_of
 from quasi.export.running import check_c
+from quasi.model.extensions import actuators_of
 from quasi.model.model import read_model
 from quasi.running.job_log import job, print_at_end
 

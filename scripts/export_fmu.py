@@ -3,14 +3,13 @@
 import tempfile
 from pathlib import Path
 
-from quasi.errors import ConfigError
+from quasi.errors import QuasiError
 from quasi.export.agreement import hand_over
 from quasi.export.compiler import NO_COMPILER
-from quasi.export.contents import actuators_of
 from quasi.export.fmu_archive import write_fmu
 from quasi.export.fmu_running import check_forces, check_vehicle
 from quasi.export.fmu_source import forces_fmu, vehicle_fmu
-from quasi.model.extensions import wind_of
+from quasi.model.extensions import actuators_of, wind_of
 from quasi.model.model import read_model
 from quasi.running.job_log import job, print_at_end
 
@@ -24,7 +23,7 @@ def main(model: str, folder: str) -> None:
     made = [(forces_fmu(portable), check_forces)]
     try:
         made.append((vehicle_fmu(portable), check_vehicle))
-    except ConfigError as error:  # the force-and-moment model is of use without it
+    except QuasiError as error:  # the force-and-moment model is of use without it
         notes.append(f"no vehicle was made: {error}")
     checks, files = [], []
     with tempfile.TemporaryDirectory(prefix="quasi-export-") as scratch:

@@ -2,9 +2,9 @@
 
 from quasi.export.agreement import hand_over
 from quasi.export.compiler import write_files
-from quasi.export.contents import actuators_of
 from quasi.export.python_source import python_file
 from quasi.export.running import check_python
+from quasi.model.extensions import actuators_of
 from quasi.model.model import read_model
 from quasi.running.job_log import job, print_at_end
 

@@ -14,7 +14,6 @@ import numpy as np
 from quasi.export.command_map import c_map
 from quasi.export.contents import (
     MEANINGS,
-    actuators_of,
     check_exportable,
     constants_of,
     differential_inputs,
@@ -26,6 +25,7 @@ from quasi.export.contents import (
 )
 from quasi.export.listing import Listing, Output, Writer, of_derivatives, of_model, of_region, weighted
 from quasi.export.naming import local, shown
+from quasi.model.extensions import actuators_of
 from quasi.model.model import AXES, Model
 from quasi.terms.differential import RATES
 from quasi.terms.kernel import INPUTS
@@ -48,11 +48,9 @@ def number(value: float) -> str:
 
 
 def _call(function: str, parts: Sequence[str]) -> str:
-    return f"{function}_of({parts[0]})" if function in ("sign", "wrap") else f"{_macro(function)}({', '.join(parts)})"
-
-
-def _macro(function: str) -> str:
-    return _MATHS[function].upper()
+    if function in ("sign", "wrap"):
+        return f"{function}_of({parts[0]})"
+    return f"{_MATHS[function].upper()}({', '.join(parts)})"
 
 
 WRITER = Writer(number, _call, local)

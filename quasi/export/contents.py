@@ -9,27 +9,14 @@ from quasi.airframe import Airframe
 from quasi.attitude import GRAVITY
 from quasi.errors import ConfigError
 from quasi.export.naming import identifier, shown
-from quasi.model.extensions import DEFAULT_LAG, drive_of, extensions_of, read_rotor_constants, read_speed_limits
+from quasi.model.extensions import actuators_of, extensions_of, read_rotor_constants
+from quasi.model.hover import find_training_median
 from quasi.model.model import AXES, ROTORS, Model
 from quasi.terms.kernel import INPUTS
 from quasi.terms.variables import check_system_inputs
 
 PREFIX = "quasi_"
 LATE_AIR = "inflow lag"  # the part of an extension with states of its own that its terms hold to first order
-
-
-class Actuators(NamedTuple):
-    """The rotors of a model: time constants (4,) s speeding up and slowing down, delay s, lowest and highest rad/s.
-
-    highest is inf and lowest 0 where the airframe gives none; notes: what was assumed
-    """
-
-    up: np.ndarray
-    down: np.ndarray
-    delay: float
-    lowest: float
-    highest: float
-    notes: tuple[str, ...]
 
 
 class Voltage(NamedTuple):
@@ -104,37 +91,6 @@ def has_region(model: Model) -> bool:
     return bool(model.document.get("envelope")) and model.region.kernel.outputs > 0
 
 
-def actuators_of(model: Model) -> Actuators:
-    """Constants of the rotors, those of extensions before the model's own. Raises ConfigError for damaged ones."""
-    known = drive_of(model.document)
-    notes: list[str] = []
-
-    def value(*keys: str) -> Any:
-        for key in keys:
-            section = known.get(key) or {}
-            if isinstance(section, Mapping) and section.get("value") is not None:
-                return _numbers(section["value"], f"model {model.id}: '{key}' of 'actuators'")
-        return None
-
-    up = value("time constants up", "time constants")
-    if up is None:
-        up = DEFAULT_LAG
-        notes.append(f"the model knows no time constants of its rotors; {DEFAULT_LAG:.4f} s is taken")
-    down = value("time constants down")
-    up = np.broadcast_to(up, 4).copy()
-    down = up.copy() if down is None else np.broadcast_to(down, 4).copy()
-    if np.min([up, down]) <= 0.0:
-        raise ConfigError(f"model {model.id}: time constants must be positive, found {up}, {down}; correct them")
-    late = value("delay")
-    limits = []
-    for key, known_limit, free in zip(("idle RPM", "max RPM"), read_speed_limits(model), (0.0, np.inf)):
-        if known_limit is None:
-            notes.append(f"the airframe's '{key}' or 'motor poles' is unknown: commands have no such limit")
-        limits.append(free if known_limit is None else known_limit)
-    delay = 0.0 if late is None else max(float(np.mean(late)), 0.0)
-    return Actuators(up, down, delay, limits[0], limits[1], tuple(notes))
-
-
 def voltage_of(model: Model) -> Voltage | None:
     """The battery of a model: the median voltage of its training flights, and what extensions say of the rotors.
 
@@ -148,8 +104,7 @@ def voltage_of(model: Model) -> Voltage | None:
     reads = "battery_voltage" in extras_of(model)
     if not reads and not exponent:
         return None
-    covered = (model.document.get("envelope") or {}).get("battery_voltage", {})
-    start = covered.get("percentiles", {}).get("50")
+    start = find_training_median(model, "battery_voltage")
     if start is None and reads:
         raise ConfigError(
             f"model {model.id} reads the battery voltage but does not state that of its flights; make the model anew"
@@ -252,13 +207,3 @@ MEANINGS = {
 def _stands(model: Model, axis: str, name: Any) -> bool:
     terms = model.document["axes"].get(axis, {}).get("terms", ())
     return any(term.get("extension") == name for term in terms)
-
-
-def _numbers(value: Any, where: str) -> np.ndarray:
-    try:
-        found = np.asarray(value, float)
-    except (TypeError, ValueError):
-        found = np.full(1, np.nan)
-    if found.size not in (1, 4) or not np.all(np.isfinite(found)):
-        raise ConfigError(f"{where} is {shown(value, 60)}, expected finite numbers; make the model anew")
-    return found

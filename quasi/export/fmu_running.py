@@ -14,10 +14,9 @@ from quasi import attitude
 from quasi.attitude import GRAVITY
 from quasi.errors import DataError
 from quasi.export.agreement import Check, States, compare, states_of, wrench_of
-from quasi.export.contents import actuators_of
 from quasi.export.fmu_source import LONGEST_FMU_STEP, STATE_NAMES, Fmu
 from quasi.model.commands import extended_map
-from quasi.model.extensions import wind_of
+from quasi.model.extensions import actuators_of, wind_of
 from quasi.model.model import AXES, Model
 from quasi.terms.kernel import INPUTS
 from quasi.terms.rotor_map import steady_speeds

@@ -21,7 +21,6 @@ from quasi.errors import ConfigError
 from quasi.export.c_source import c_files
 from quasi.export.command_map import constants_of_map
 from quasi.export.contents import (
-    actuators_of,
     check_exportable,
     check_vehicle,
     extras_of,
@@ -31,7 +30,8 @@ from quasi.export.contents import (
 )
 from quasi.export.naming import shown
 from quasi.model.commands import extended_map
-from quasi.model.extensions import wind_of
+from quasi.model.extensions import actuators_of, wind_of
+from quasi.model.hover import check_flyable, find_training_median
 from quasi.model.model import AXES, Model
 from quasi.tables import COLUMNS, read_text
 from quasi.terms.kernel import INPUTS
@@ -83,7 +83,8 @@ def forces_fmu(model: Model) -> Fmu:
         if at >= 16 and at < 20 and not model.uses_rotor_accelerations:
             continue
         unit, frame = COLUMNS.get(name, ("1", ""))[:2]
-        start = float(model.hover_speed or 1.0) if 12 <= at < 16 else _middle(model, name) if at >= 20 else 0.0
+        usual = model.hover_speed or 1.0 if 12 <= at < 16 else find_training_median(model, name) if at >= 20 else None
+        start = float(usual or 0.0)
         meaning = f"velocity through the air, {frame}" if name in "uvw" else f"{name}, {frame}" if frame else name
         variables.append(Variable(at, name, "input", "continuous", unit, start, shown(meaning)))
     first = len(INPUTS) + len(extras)
@@ -103,14 +104,11 @@ def vehicle_fmu(model: Model) -> Fmu:
     """A whole quadrotor: commanded rotor speeds and wind in, its motion out.
 
     Where the model carries a map from commands to rotor speeds, commands and battery voltage can drive it instead.
-    Raises ConfigError for a model that lacks an axis or the mass, or that reads what a vehicle does not know, by name.
+    Raises DataError for a model that lacks an axis or the mass, ConfigError for one that reads what a vehicle does not
+    know, by name.
     """
     check_vehicle(model)
-    lacking = [axis for axis in AXES if axis not in model.axes]
-    if lacking:
-        raise ConfigError(f"model {model.id} lacks {', '.join(lacking)}; a vehicle needs all six axes")
-    if model.airframe.mass is None:
-        raise ConfigError(f"model {model.id} knows no mass; fill in 'Mass' in the logbook and make it anew")
+    check_flyable(model, "a vehicle")
     unknown = [name for name in extras_of(model) if name != "battery_voltage"]
     if unknown:
         raise ConfigError(
@@ -213,12 +211,6 @@ def _detailed(variable: Variable) -> Variable:
         unit, meaning = _OF_STATE[STATE_NAMES.index(name)]
         return variable._replace(unit=_SLOPE_UNIT[unit], meaning=f"derivative of {name}", derivative_of=name)
     return variable._replace(unit="N m") if variable.name in AXES[3:] else variable
-
-
-def _middle(model: Model, name: str) -> float:
-    """The median of an extra input over a model's training data, 0 where it is unknown."""
-    covered = (model.document.get("envelope") or {}).get(name, {})
-    return float(covered.get("percentiles", {}).get("50", 0.0))
 
 
 def _fmu(model: Model, kind: str, variables: Sequence[Variable], places: dict[str, int]) -> Fmu:

@@ -16,8 +16,8 @@ import numpy as np
 
 from quasi.attitude import GRAVITY
 from quasi.errors import DataError
-from quasi.export.contents import Actuators, actuators_of, check_exportable
-from quasi.model.extensions import drive_of
+from quasi.export.contents import check_exportable
+from quasi.model.extensions import Actuators, actuators_of, drive_of
 from quasi.model.hover import find_hover_position, find_hover_speed, list_usual_inputs
 from quasi.model.model import AXES, Model
 from quasi.terms.kernel import INPUTS
@@ -177,7 +177,7 @@ def physical_constants(model: Model) -> Physical:
                 f"model {model.id}: its {what} moment by the rotor speeds is {found.value:.3g} per (rad/s)^2 where the "
                 f"configured geometry expects a positive value; correct {keys} of the quadrotor configuration"
             )
-    reaction = about.by_accelerations("Mz", 0.25 * -spin)
+    reaction = about.by_accelerations(0.25 * -spin)
     return Physical(
         name=model.id,
         airframe=frame.name,
@@ -231,13 +231,13 @@ class _Hover:
             points += [({f"w{i}": self.speed + step}, share), ({f"w{i}": self.speed - step}, -share)]
         return self._sum(axis, points)
 
-    def by_accelerations(self, axis: str, weights: np.ndarray) -> Estimate:
-        """Sum over rotors of weight x derivative by the rotor's acceleration."""
+    def by_accelerations(self, weights: np.ndarray) -> Estimate:
+        """Sum over rotors of weight x derivative of Mz by the rotor's acceleration."""
         points = []
         for i, weight in enumerate(weights, 1):
             share = float(weight) / (2.0 * TURN)
             points += [({f"w{i}_dot": TURN}, share), ({f"w{i}_dot": -TURN}, -share)]
-        return self._sum(axis, points)
+        return self._sum("Mz", points)
 
     def _sum(self, axis: str, points: list[tuple[dict[str, float], float]]) -> Estimate:
         columns = {n: np.array([change.get(n, value) for change, _ in points]) for n, value in self.base.items()}

@@ -7,7 +7,7 @@ import numpy as np
 
 from quasi.attitude import GRAVITY
 from quasi.export.agreement import Check, compare
-from quasi.export.contents import Actuators, actuators_of
+from quasi.model.extensions import Actuators, actuators_of
 from quasi.model.hover import find_hover_position, find_hover_speed, list_usual_inputs, predict_at_rest
 from quasi.model.model import Model
 

@@ -28,10 +28,10 @@ def attribute(text: str) -> str:
     return quoteattr(_FORBIDDEN.sub(".", text))
 
 
-def comment(lines: Sequence[str], indent: str = "") -> list[str]:
+def comment(lines: Sequence[str]) -> list[str]:
     """Lines of one comment; of hyphens in a row, which would end it, each gets a space."""
     safe = [re.sub(r"-(?=-)", "- ", escape(_FORBIDDEN.sub(".", line))) for line in lines]
-    return [f"{indent}<!--", *(f"{indent}  {line}" for line in safe), f"{indent}-->"]
+    return ["<!--", *(f"  {line}" for line in safe), "-->"]
 
 
 def parsed(text: str, file: str) -> ElementTree.Element:

@@ -371,12 +371,7 @@ def start(frame: pd.DataFrame, measurements: Measurements, imu: Imu, dt: float, 
         deviation[6:9] = 1e-3
     deviation[9:12] = 0.1
     deviation[12:15] = 0.5
-    has = source_is_known(measurements, "attitude")
+    has = measurements.source["attitude"] != "none"
     capture = measurements.source["attitude"].startswith("capture")
     deviation[15:18] = (np.radians(0.5 if capture else 1.0) if align else 1e-6) if has else 1e-6
     return np.array(quaternion, float), state, np.diag(deviation**2)
-
-
-def source_is_known(measurements: Measurements, kind: str) -> bool:
-    """Whether there is any measurement of this kind."""
-    return measurements.source[kind] != "none"

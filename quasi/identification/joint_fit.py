@@ -175,14 +175,14 @@ class JointFit:
             "Mz": (flight.targets["Mz"], np.stack([-mid @ spin, c["r"], faster], axis=1)),
         }
 
-    def whitened(self, x: np.ndarray, white: bool = True) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+    def whitened(self, x: np.ndarray) -> dict[str, tuple[np.ndarray, np.ndarray]]:
         """{axis: (target, columns)} of all compared rows; moments through the inverse of the disturbance model, about
         the means of each flight. Vertical force is compared as it is: its signal is slow, and so is its feedback."""
         found: dict[str, list] = {axis: [] for axis in JOINT_AXES}
         for flight in self.flights:
             for axis, (target, columns) in self.equations(flight, x).items():
                 both = np.column_stack([target, columns])
-                if white and axis != "Fz":
+                if axis != "Fz":
                     both = lfilter(np.concatenate([[1.0], -self.colour[axis]]), [1.0], both, axis=0)
                 both = both[flight.rows]
                 found[axis].append(both - both.mean(axis=0))

@@ -40,7 +40,8 @@ def drop_redundant(
     for term in specification.fixed:
         column = values[term.expression]
         if term.expression not in specification.known and basis and _is_combination(column, basis):
-            of = "the constant term" if _is_constant(column) else "the other fixed regressors"
+            constant = np.ptp(column) <= DEPENDENT * np.abs(column).max()
+            of = "the constant term" if constant else "the other fixed regressors"
             notes.append(
                 f"{axis}: the fixed regressor '{term.expression}' is a multiple or combination of {of} under the "
                 "non-dimensional scheme and is left out"
@@ -89,10 +90,6 @@ def _at_random_states(terms: Sequence[Term], scheme: Normalisation, airframe: Ai
     variables = Variables(columns, airframe, 0.6 * scheme.top, scheme)
     with np.errstate(all="ignore"):
         return Program([t.tree for t in terms]).run(variables.__getitem__, rows)
-
-
-def _is_constant(column: np.ndarray) -> bool:
-    return bool(np.ptp(column) <= DEPENDENT * np.abs(column).max())
 
 
 def _is_combination(column: np.ndarray, basis: Sequence[np.ndarray]) -> bool:

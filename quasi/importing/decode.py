@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from quasi.airframe import read_poles
 from quasi.errors import ConfigError, ReadError
 from quasi.importing.first_configuration import recognise_log
-from quasi.importing.onboard_log import motor_poles
 from quasi.importing.readers.reader import Request, needs_extra
 from quasi.importing.readers.registry import is_capture, read_capture, read_log
 from quasi.importing.readers.table_mapping import UNIT
@@ -83,7 +83,7 @@ def _read(
         if first is not None and "table columns" in first.quadrotor:
             quadrotor = {**first.quadrotor, **quadrotor}
             remarks += first.remarks
-    return read_log(Request(log, controller, quadrotor, motor_poles(quadrotor)[0], log_number))
+    return read_log(Request(log, controller, quadrotor, read_poles(quadrotor, str(log)), log_number))
 
 
 def joined(series: Mapping[str, Series]) -> pd.DataFrame:

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from quasi.airframe import DEFAULT_POLES, erpm100_to_rad_s, read_triple
+from quasi.airframe import DEFAULT_POLES, erpm100_to_rad_s, read_poles, read_triple
 from quasi.attitude import exponential, interpolate, multiply, rotate, rotate_inverse, to_euler
 from quasi.errors import ConfigError, DataError, add_caution
 from quasi.importing import limits
@@ -19,7 +19,7 @@ from quasi.importing.command_map import add_commanded_speeds
 from quasi.importing.contradictions import refuse_wrong_lengths, refuse_wrong_rates
 from quasi.importing.cross_checks import cross_check
 from quasi.importing.imu_and_telemetry import lever_arm_term, remove_telemetry_age
-from quasi.importing.onboard_log import POSITION_COLUMNS, QUATERNION, Onboard, gather, motor_poles, read_onboard
+from quasi.importing.onboard_log import POSITION_COLUMNS, QUATERNION, Onboard, gather, read_onboard
 from quasi.importing.readers.captured_body import refuse_beyond_rooms
 from quasi.importing.readers.reader import Request
 from quasi.importing.readers.registry import read_capture
@@ -71,8 +71,8 @@ def import_flight(
     notes: list[str] = []
     for sentence in flight.get("unread", ()):
         add_caution(notes, sentence)
-    poles, poles_source = motor_poles(quadrotor)
-    recording = read_onboard(flight, quadrotor, poles)
+    poles = read_poles(quadrotor, where)
+    recording = read_onboard(flight, quadrotor)
     recording.metadata["sha256"] = sha256_of(flight["onboard"])
     marker = _marker(quadrotor)
     moved = ((calibration or {}).get("capture") or {}).get("marker offset")
@@ -110,7 +110,10 @@ def import_flight(
             tau = np.interp(at, sync.to_onboard(capture.t), capture.t)
         frame, facts["wind"] = add_wind(frame, flight["wind"], captured, tau, where, notes)
     frame, facts["commanded speeds"] = add_commanded_speeds(frame, quadrotor.get("command map"), where, notes)
-    magnets = recording.metadata.get("motor poles") or {"value": poles or DEFAULT_POLES, "source": poles_source}
+    magnets = recording.metadata.get("motor poles") or {
+        "value": poles or DEFAULT_POLES,
+        "source": "configuration" if poles else "default",
+    }
     metadata = {
         "schema": SCHEMA,
         "flight": flight["flight"],

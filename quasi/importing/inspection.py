@@ -19,7 +19,6 @@ from quasi.importing.onboard_log import (
     BODY_VELOCITY,
     POSITION_COLUMNS,
     VELOCITY_COLUMNS,
-    motor_poles,
     read_onboard,
     require_motion,
 )
@@ -92,7 +91,7 @@ def inspect_flight(settings: Mapping[str, Any]) -> dict[str, Any]:
         stopped = [ALL_STOPPED]
     found["remarks"] += stopped
     found["silent rotors"] = find_silent_rotors(
-        {n for s in sources.get("onboard", ()) for n in s.values if _moves(s, n)}
+        {n for s in sources.get("onboard", ()) for n in s.values if np.nan_to_num(s.values[n]).any()}
     )
     found["lacks"] = [name for name in HOLDINGS if name not in found["holds"]]
     return found
@@ -101,7 +100,7 @@ def inspect_flight(settings: Mapping[str, Any]) -> dict[str, Any]:
 def _read_onboard(flight: Mapping[str, Any], quadrotor: Mapping[str, Any]) -> Read | None:
     if not flight.get("onboard"):
         return None
-    recording = read_onboard(flight, quadrotor, motor_poles(quadrotor)[0])
+    recording = read_onboard(flight, quadrotor)
     notes = list(recording.notes)
     gyro = _motion(recording, flight, notes).gyro
     about = recording.metadata
@@ -184,11 +183,6 @@ def _stopped_rotors(series: Iterable[Series]) -> list[str]:
             if np.isfinite(values).any() and not np.nanmax(np.abs(values)) > 0:
                 stopped.append(f"the speed of rotor {name[1:]} is 0 throughout")
     return stopped
-
-
-def _moves(series: Series, name: str) -> bool:
-    """Whether a quantity holds a value other than 0."""
-    return bool(np.nan_to_num(series.values[name]).any())
 
 
 def usable_for(found: Mapping[str, Any]) -> str:

@@ -7,8 +7,9 @@ from typing import Any
 
 import numpy as np
 
+from quasi.airframe import read_poles
 from quasi.attitude import interpolate
-from quasi.errors import ConfigError, DataError, add_caution
+from quasi.errors import DataError, add_caution
 from quasi.importing.captured_sensors import POSITION_COLUMNS, QUATERNION, Captured
 from quasi.importing.checks import check_recording
 from quasi.importing.clocks.filter_delays import header_delays
@@ -79,21 +80,7 @@ class Onboard:
         )
 
 
-def motor_poles(quadrotor: Mapping[str, Any]) -> tuple[int | None, str]:
-    """Magnets of a motor by the quadrotor configuration, or None, and their source. Raises ConfigError."""
-    text = quadrotor.get("motor poles")
-    if text in (None, ""):
-        return None, "default"
-    try:
-        poles = int(float(text))
-    except (TypeError, ValueError):
-        raise ConfigError(f"'motor poles' is {text!r}, expected an even number of magnets such as 12 or 14") from None
-    if poles < 2 or poles % 2:
-        raise ConfigError(f"'motor poles' is {poles}, expected an even number of magnets such as 12 or 14")
-    return poles, "configuration"
-
-
-def read_onboard(flight: Mapping[str, Any], quadrotor: Mapping[str, Any], poles: int | None) -> Recording:
+def read_onboard(flight: Mapping[str, Any], quadrotor: Mapping[str, Any]) -> Recording:
     """Read the on-board file by the flight controller it is of, and by what it holds.
 
     Raises ReadError for a controller that is not supported, or a file that is not what the logbook says.
@@ -102,7 +89,7 @@ def read_onboard(flight: Mapping[str, Any], quadrotor: Mapping[str, Any], poles:
         Path(flight["onboard"]),
         str(flight["flight controller"]).strip().lower(),
         quadrotor,
-        poles,
+        read_poles(quadrotor, str(flight["onboard"])),
         flight.get("log number"),
     )
     return check_recording(read_log(request), str(request.path))

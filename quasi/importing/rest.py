@@ -41,7 +41,6 @@ def read_rest(
         if "qw" not in one.values:
             raise DataError(f"{path} holds no rotation of the rigid body; export it with rotations")
         return Rest(one.t, _angles(one.values), None, {}, recording.notes)
-    poles = quadrotor.get("motor poles")
     recording = read_onboard(
         {
             "onboard": path,
@@ -49,7 +48,6 @@ def read_rest(
             "log number": log_number,
         },
         quadrotor,
-        int(float(poles)) if poles not in (None, "") else None,
     )
     columns: dict[str, np.ndarray] = {}
     speeds = None

@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from quasi.attitude import body_rates, continuous, interpolate, to_euler
 from quasi.importing.clocks.synchronisation import Motion, Synchronisation, synchronise
 from quasi.importing.lever_arm_fit import ArmFit, fit_arm
-from quasi.importing.onboard_log import POSITION_COLUMNS, QUATERNION, gather, motor_poles, read_onboard
+from quasi.importing.onboard_log import POSITION_COLUMNS, QUATERNION, gather, read_onboard
 from quasi.importing.readers.reader import Request
 from quasi.importing.readers.registry import controller_of, read_capture
 
@@ -70,7 +70,7 @@ def align_files(
         "flight controller": controller_of(log, settings),
         "log number": log_number,
     }
-    recording = read_onboard(flight, settings, motor_poles(settings)[0])
+    recording = read_onboard(flight, settings)
     board = gather(recording, log.name, notes)
     captured = read_capture(Request(capture, rigid_body=rigid_body))
     series = captured.series["capture"]

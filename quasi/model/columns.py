@@ -48,9 +48,6 @@ def columns_from_state(
 
 
 def columns_from_table(flight: pd.DataFrame | Mapping[str, np.ndarray]) -> tuple[dict[str, np.ndarray], int]:
-    columns = {str(name): np.asarray(flight[name], float) for name in flight if _is_number(flight[name])}
+    numeric = [name for name in flight if np.issubdtype(np.asarray(flight[name]).dtype, np.number)]
+    columns = {str(name): np.asarray(flight[name], float) for name in numeric}
     return columns, len(next(iter(columns.values()))) if columns else 0
-
-
-def _is_number(values: Any) -> bool:
-    return np.issubdtype(np.asarray(values).dtype, np.number)

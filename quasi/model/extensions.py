@@ -35,6 +35,20 @@ _ROTOR_CONSTANTS = (
 )
 
 
+class Actuators(NamedTuple):
+    """The rotors of a model: time constants (4,) s speeding up and slowing down, delay s, lowest and highest rad/s.
+
+    highest is inf and lowest 0 where the airframe gives none; notes: what was assumed
+    """
+
+    up: np.ndarray
+    down: np.ndarray
+    delay: float
+    lowest: float
+    highest: float
+    notes: tuple[str, ...]
+
+
 def extensions_of(model: Model) -> list[Mapping[str, Any]]:
     """List the extensions of a model. Raises ConfigError where they are damaged."""
     return _sections(model.document, model.id)
@@ -93,6 +107,34 @@ def drive_of(document: Mapping[str, Any]) -> dict[str, Any]:
         exponent = {"value": found["voltage exponent"]}
         known["command map"] = {**mapped, "voltage exponent": exponent, "reference voltage": volts}
     return known
+
+
+def actuators_of(model: Model) -> Actuators:
+    """Read lag, delay and speed limits of the rotors, those of extensions before the model's own.
+
+    Raises DataError for damaged ones.
+    """
+    known, notes = drive_of(model.document), []
+
+    def value(*keys: str) -> np.ndarray | None:
+        for key in keys:
+            about = known.get(key) or {}
+            if not isinstance(about, Mapping) or about.get("value") is not None:
+                return _read_seconds(about, model.id, key)
+        return None
+
+    up, down, late = value("time constants up", "time constants"), value("time constants down"), value("delay")
+    if up is None:
+        up = DEFAULT_LAG
+        notes.append(f"the model knows no time constants of its rotors; {DEFAULT_LAG:.4f} s is taken")
+    limits = []
+    for key, limit, free in zip(("idle RPM", "max RPM"), read_speed_limits(model), (0.0, np.inf)):
+        if limit is None:
+            notes.append(f"the airframe's '{key}' or 'motor poles' is unknown: commands have no such limit")
+        limits.append(free if limit is None else limit)
+    up, down = (np.broadcast_to(tau, 4).copy() for tau in (up, up if down is None else down))
+    delay = 0.0 if late is None else max(float(np.mean(late)), 0.0)
+    return Actuators(up, down, delay, *limits, tuple(notes))
 
 
 def wind_of(model: Model) -> np.ndarray:
@@ -304,7 +346,9 @@ def _read_seconds(about: Any, name: str, key: str) -> np.ndarray:
         value = np.asarray(about["value"], float)
     except (KeyError, TypeError, ValueError):
         value = np.full(1, np.nan)
-    if value.size not in (1, 4) or not np.all(np.isfinite(value) & (value > 0.0)):
-        raise DataError(f"model {name}: 'actuators' / '{key}' is {about!r:.60}, expected positive seconds under "
-                          "'value'; build the model again")  # fmt: skip
+    # an identified delay may be slightly negative
+    if value.size not in (1, 4) or not np.isfinite(value).all() or (key in _LAGS and value.min() <= 0.0):
+        expected = "positive seconds" if key in _LAGS else "seconds"
+        raise DataError(f"model {name}: 'actuators' / '{key}' is {about!r:.60}, expected {expected} under 'value'; "
+                          "build the model again")  # fmt: skip
     return value

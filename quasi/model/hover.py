@@ -1,10 +1,11 @@
 """A model in hover: rotor speed that carries the weight, usual values of further inputs, hover position."""
 
 import numpy as np
+from scipy.optimize import brentq
 
 from quasi.attitude import GRAVITY
 from quasi.errors import DataError
-from quasi.model.model import Model
+from quasi.model.model import AXES, Model
 
 
 def find_hover_speed(model: Model, highest: float | None = None) -> float:
@@ -25,19 +26,29 @@ def find_hover_speed(model: Model, highest: float | None = None) -> float:
             f"{mesh[0]:.0f} to {mesh[-1]:.0f} rad/s; check the mass, the pole count and the sign of Fz"
         )
     first = found[np.argmin(np.abs(mesh[found] - guess))]
-    low, high = mesh[first], mesh[first + 1]
-    for _ in range(60):
-        middle = 0.5 * (low + high)
-        low, high = (middle, high) if residual(np.array([middle]))[0] > 0.0 else (low, middle)
-    return 0.5 * (low + high)
+    return float(brentq(lambda speed: residual(speed)[0], mesh[first], mesh[first + 1], xtol=1e-12 * guess))
+
+
+def check_flyable(model: Model, purpose: str) -> None:
+    """Raise DataError where an axis or the mass is unknown. purpose  what needs them, as in "a simulation"."""
+    lacking = [axis for axis in AXES if axis not in model.axes]
+    if lacking:
+        raise DataError(f"model {model.id} lacks {', '.join(lacking)}; {purpose} needs all six axes")
+    if model.airframe.mass is None:
+        raise DataError(f"model {model.id} has no mass; fill in 'Mass' in the logbook and build it again")
+
+
+def find_training_median(model: Model, name: str) -> float | None:
+    """Median of an input over the model's training data; None where it is unknown."""
+    covered = (model.document.get("envelope") or {}).get(name, {})
+    return covered.get("percentiles", {}).get("50")
 
 
 def list_usual_inputs(model: Model) -> np.ndarray:
     """List usual values of the model's further inputs (battery_voltage, ...), the medians of its training data, or
     zero.
     """
-    covered = model.document.get("envelope") or {}
-    return np.array([covered.get(name, {}).get("percentiles", {}).get("50", 0.0) for name in model.inputs[20:]])
+    return np.array([find_training_median(model, name) or 0.0 for name in model.inputs[20:]])
 
 
 def find_hover_position(model: Model) -> np.ndarray:
@@ -47,9 +58,8 @@ def find_hover_position(model: Model) -> np.ndarray:
     """
     if not model.kernel.used[9:12].any():
         return np.zeros(3)
-    covered = model.document.get("envelope") or {}
-    free = {"x": 0.0, "y": 0.0, "z": -1.0}
-    return np.array([covered.get(n, {}).get("percentiles", {}).get("50", value) for n, value in free.items()])
+    middle = [find_training_median(model, name) for name in "xyz"]
+    return np.array([free if known is None else known for known, free in zip(middle, (0.0, 0.0, -1.0))])
 
 
 def predict_at_rest(

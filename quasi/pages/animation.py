@@ -6,6 +6,7 @@ Only what moves is drawn anew; axes, grid and labels are kept as a picture until
 import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from matplotlib.artist import Artist
@@ -135,7 +136,14 @@ def render_frames(
     scale: float | None = None,
     title: str = "",
 ) -> Iterator[np.ndarray]:
-    """Render the pictures (height, width, 3) of an animation in sequence; arguments as `animate`."""
+    """Render the pictures (height, width, 3) of an animation in sequence.
+
+    axes      3-D axes in a figure of the user's; figure  draws in its last axes; neither: a figure of its own
+    wrapper   called for each frame with the time, s, and the axes, after the drones were moved: it may draw more, in
+              other axes of the figure too; it returns what it moved, or None to have the whole figure drawn anew
+    limits    low (3,), high (3,), m, NED; or a function of the time, s, that gives them (`follow_drone` makes one)
+    trail     s of the path behind each drone; scale  by which drones are enlarged, None: so that they can be seen
+    """
     if not motions:
         raise DataError("there is no motion to animate; give at least one")
     motions = drawing.assign_colours(motions)
@@ -173,27 +181,13 @@ def render_frames(
 
 
 def animate(
-    motions: Sequence[Motion],
-    path: str | Path,
-    fps: float = 25.0,
-    speed_up: float = 1.0,
-    axes: Axes3D | None = None,
-    figure: Figure | None = None,
-    wrapper: Wrapper | None = None,
-    limits: Limits | Callable[[float], Limits] | None = None,
-    trail: float = math.inf,
-    scale: float | None = None,
-    title: str = "",
+    motions: Sequence[Motion], path: str | Path, fps: float = 25.0, speed_up: float = 1.0, **options: Any
 ) -> int:
     """Write an animation of one or several drones to a file; returns the number of frames.
 
     path      .mp4 (needs the extra "animation") or .gif; speed_up  2 shows twice as fast
     fps       frames per second; a GIF takes the nearest whose frames last whole hundredths of a second
-    axes      3-D axes in a figure of the user's; figure  draws in its last axes; neither: a figure of its own
-    wrapper   called for each frame with the time, s, and the axes, after the drones were moved: it may draw more, in
-              other axes of the figure too; it returns what it moved, or None to have the whole figure drawn anew
-    limits    low (3,), high (3,), m, NED; or a function of the time, s, that gives them (`follow_drone` makes one)
-    trail     s of the path behind each drone; scale  by which drones are enlarged, None: so that they can be seen
+    options   axes, figure, wrapper, limits, trail, scale, title of `render_frames`
     Raises DataError, ConfigError for what cannot be made.
     """
     path = Path(path)
@@ -203,7 +197,7 @@ def animate(
     gif = path.suffix.lower() == ".gif"
     if gif:
         fps = 100.0 / compute_gif_delay(fps)  # so that the speed stays true
-    pictures = render_frames(motions, fps, speed_up, axes, figure, wrapper, limits, trail, scale, title)
+    pictures = render_frames(motions, fps, speed_up, **options)
     return write_gif(path, pictures, fps) if gif else write_mp4(path, pictures, fps)
 
 
@@ -296,9 +290,8 @@ class _Course:
         self.position = np.stack([np.interp(times, t, column) for column in motion.position[drawable].T], axis=1)
         rows = np.flatnonzero(drawable)
         self.opacity = motion.opacity(rows[np.clip(np.searchsorted(t, times), 0, len(rows) - 1)])
-        step = max(1, len(motion.t) // drawing.MAX_DRAWN_POINTS)
-        self.path_t = motion.t[::step]
-        self.path = np.where(drawable[:, None], motion.position, np.nan)[::step]
+        self.path = drawing.thin_path(motion)
+        self.path_t = motion.t[:: max(1, len(motion.t) // drawing.MAX_DRAWN_POINTS)]
 
     def at(self, k: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         now = self.times[k]

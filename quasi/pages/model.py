@@ -40,7 +40,8 @@ def render_model_page(
     )
     note = diagnosis["partition"]["note"]
     chart = _make_chart(rows, summary)
-    variables = list_variables(_read_expression(term) for part in model["axes"].values() for term in part["terms"])
+    terms = [term for part in model["axes"].values() for term in part["terms"]]
+    variables = list_variables(str(term.get("expression") or term["name"]) for term in terms)
     sections = [
         render_style(),
         _render_answer(chart, summary),
@@ -81,13 +82,9 @@ def _render_verdicts(diagnosis: Mapping[str, Any]) -> str:
     return f"<table><tbody>{''.join(lines)}</tbody></table>"
 
 
-def _list_roles(summary: Mapping[str, Any]) -> list[str]:
-    known = {role for axis in summary["axes"].values() for role in axis["scores"]}
-    return [r for r in ("training", "test", "validation") if r in known]
-
-
 def _render_scores(summary: Mapping[str, Any]) -> str:
-    roles = _list_roles(summary)
+    known = {role for axis in summary["axes"].values() for role in axis["scores"]}
+    roles = [r for r in ("training", "test", "validation") if r in known]
 
     def of(titles: Mapping[str, str], shown: Any) -> str:
         head = ["", *(f"{title}, {role}" for role in roles for title in titles.values())]
@@ -202,10 +199,6 @@ def _render_causes(model: Mapping[str, Any]) -> str:
         "Predictions contain the quasi-steady part only."
     )
     return frame.render_section("Causes that extend the model", frame.render_facts(rows), frame.render_paragraph(text))
-
-
-def _read_expression(term: Mapping[str, Any]) -> str:
-    return str(term.get("expression") or term["name"])
 
 
 def _render_terms(axis: str, part: Mapping[str, Any]) -> str:

@@ -10,6 +10,7 @@ import difflib
 import functools
 import json
 import math
+import operator
 import re
 from collections.abc import Iterable, Mapping
 from pathlib import Path
@@ -43,13 +44,14 @@ def schema(name: str) -> dict[str, Any]:
     return read_json(path)
 
 
-def check(document: Any, name: str, where: str) -> tuple[dict[str, Any], list[str]]:
+def check(document: Any, name: str, where: str, *part: str) -> tuple[dict[str, Any], list[str]]:
     """Check a configuration and fill in its defaults.
 
-    document  the file's content; name  its schema; where  its path, for messages.
+    document  the file's content; name  its schema; where  its path, for messages; part  keys of the schema that lead
+    to the rules of the document, where it is a section.
     Returns (document with defaults and without comments, notices). Raises ConfigError naming file and key.
     """
-    rules = schema(name)
+    rules = functools.reduce(operator.getitem, part, schema(name))
     try:
         document = _uncomment(document)
         errors = sorted(
@@ -130,7 +132,7 @@ def with_section(text: str, key: str, value: Mapping[str, Any]) -> str:
 def _uncomment(document: Any) -> Any:
     if isinstance(document, Mapping):
         return {k: _uncomment(v) for k, v in document.items() if not k.startswith("//")}
-    if isinstance(document, list):
+    if isinstance(document, list | tuple):
         return [_uncomment(v) for v in document]
     return document
 

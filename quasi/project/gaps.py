@@ -10,7 +10,7 @@ from quasi.input_limits import MAX_NAME_CHARACTERS
 from quasi.project.configurations import AXES, Configurations, check_model_file
 from quasi.project.folder import Places, given_model_path, is_file
 from quasi.project.logbook import Row
-from quasi.project.logbooks import Logbooks
+from quasi.project.logbooks import Logbooks, require_one_quadrotor
 from quasi.tables import read_json, read_text
 
 HELD, COMPARED, REFERENCE = "held out", "compared", "reference"
@@ -112,11 +112,7 @@ class Gaps:
                     f"{where}: row {row.number} is compared and a reference flight; a flight can be one of both only"
                 )
         out = {r.number for r in held}
-        quadrotors = {r.quadrotor for r in (*everything, *reference) if not r.problem}
-        if len(quadrotors) > 1:
-            raise ConfigError(
-                f"{where}: the rows mean several quadrotors ({', '.join(sorted(quadrotors))}); select one"
-            )
+        quadrotors = require_one_quadrotor((*everything, *reference), where)
         learning = [r for r in everything if r.number not in out]
         if not learning:
             raise ConfigError(

@@ -341,10 +341,10 @@ def select_rows(selection: Iterable[Any], where: str) -> list[int]:
 def pick(rows: Mapping[int, Row], selection: Iterable[Any], where: str, logbook: str) -> list[Row]:
     """The rows that a selection means. Raises LogbookError for a row outside the logbook or an empty selection."""
     numbers = select_rows(selection, where)
-    if not numbers:
-        raise LogbookError(f'{where}: no rows are selected; name at least one, like 2 or "2-6"')
     if not rows:
         raise LogbookError(f"{logbook} holds no flights yet; add one row per flight below its first line")
+    if not numbers:
+        raise LogbookError(f'{where}: no rows are selected; name at least one, like 2 or "2-6"')
     last = max(rows)
     for number in numbers:
         if number not in rows:

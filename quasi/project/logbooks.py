@@ -1,7 +1,7 @@
 """The logbooks of a project folder, and the flights that a selection of rows means."""
 
 import functools
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -10,10 +10,20 @@ from quasi.project.configurations import Configurations
 from quasi.project.folder import Places, is_file, with_suffix
 from quasi.project.logbook import Row, apart, pick, read_logbook
 
+KEY_OF_ROWS = "rows of flights to use (all)"
+
 
 def name_row(row: Row) -> str:
     """A row as messages name it."""
     return f"row {row.number} of {row.logbook}"
+
+
+def require_one_quadrotor(rows: Iterable[Row], where: str) -> set[str]:
+    """The name of the quadrotor of some rows, none where no row can be used. Raises ConfigError for several."""
+    quadrotors = {r.quadrotor for r in rows if not r.problem}  # a row that names no quadrotor fails in its own jobs
+    if len(quadrotors) > 1:
+        raise ConfigError(f"{where}: the rows mean several quadrotors ({', '.join(sorted(quadrotors))}); select one")
+    return quadrotors
 
 
 class Logbooks:
@@ -97,14 +107,9 @@ class Logbooks:
 
     def processing_flights(self) -> list[Row]:
         """The flights that config/processing.json selects (all of the logbook when it selects none)."""
-        section = self.configuration.processing["logging file"]
-        if "rows of flights to use (all)" in section:
-            return self.select(section, "rows of flights to use (all)", "config/processing.json")
-        rows = list(self.logbook(section["directory"], section["filename"], "config/processing.json").values())
-        if not rows:
-            path = self._logbook_path(section["directory"], section["filename"])
-            raise LogbookError(f"{path} holds no flights yet; add one row per flight below its first line")
-        return rows
+        section, key, where = self.configuration.processing["logging file"], KEY_OF_ROWS, "config/processing.json"
+        every = self.logbook(section["directory"], section["filename"], where)
+        return self.select({key: list(every), **section}, key, where)
 
     def row(self, quadrotor: str, flight: str) -> Row:
         """The logbook row of a flight. Raises LogbookError naming the near ones."""
@@ -121,24 +126,17 @@ class Logbooks:
         """Rows of a model's flights: "all", "training" or "validation". Raises LogbookError or ConfigError."""
         where = f"config/models/{name}.json"
         section = self.configuration.model(name)["logging file"]
-        everything = self.select(section, "rows of flights to use (all)", where)
+        everything = self.select(section, KEY_OF_ROWS, where)
         held = []
         if section["rows of flights for validation"]:
             held = self.select(section, "rows of flights for validation", where)
         numbers = {r.number for r in everything}
         for row in held:
             if row.number not in numbers:
-                raise ConfigError(
-                    f"{where}: validation row {row.number} is not among 'rows of flights to use (all)'; add it there"
-                )
+                raise ConfigError(f"{where}: validation row {row.number} is not among '{KEY_OF_ROWS}'; add it there")
         out = {r.number for r in held}
         training = [r for r in everything if r.number not in out]
         if not training:
             raise ConfigError(f"{where}: every row is held out for validation; leave at least one for training")
-        # a row that names no quadrotor fails in its own jobs
-        quadrotors = {r.quadrotor for r in everything if not r.problem}
-        if len(quadrotors) > 1:
-            raise ConfigError(
-                f"{where}: the rows mean several quadrotors ({', '.join(sorted(quadrotors))}); select one"
-            )
+        require_one_quadrotor(everything, where)
         return {"all": everything, "training": training, "validation": held}[role]

@@ -85,7 +85,7 @@ def recorded_twice(flights: Mapping[str, list[str]]) -> tuple[str, str] | None:
 
     A file that is absent, to be made or empty is known by its path.
     """
-    sizes = {path: _size(path) for path, _ in flights.values()}
+    sizes = {path: Path(path).stat().st_size if is_file(Path(path)) else 0 for path, _ in flights.values()}
     often = Counter(sizes.values())
     # files of unlike sizes differ: only the others are read
     contents = {
@@ -123,10 +123,6 @@ def repeated_recordings(asked: Mapping[str, Any], names: Mapping[str, str]) -> l
             "once and has one role; leave one out, or give each its own 'Log number' if the file holds several logs"
         )
     return sentences
-
-
-def _size(path: str) -> int:
-    return Path(path).stat().st_size if is_file(Path(path)) else 0
 
 
 def _content(path: str, number: str) -> tuple[str, str, str]:

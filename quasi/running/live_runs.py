@@ -62,7 +62,8 @@ def is_alive(card: dict[str, Any]) -> bool | None:
 
 def other_runs(folder: str | Path) -> list[dict[str, Any]]:
     """Cards of the other runs in a folder, alive or not, the newest first."""
-    cards = [card for _, card in _read_cards(folder) if (card.get("host"), card.get("pid")) != _this_process()]
+    own = socket.gethostname(), os.getpid()
+    cards = [card for _, card in _read_cards(folder) if (card.get("host"), card.get("pid")) != own]
     return sorted(cards, key=lambda card: -float(card.get("at") or 0.0))
 
 
@@ -113,10 +114,6 @@ def refuse_unlocking(folder: str | Path) -> str | None:
         f"the lock stays: a run is working in this folder, {_describe_runs(alive)}; wait for its end, or stop it with "
         "Ctrl-C"
     )
-
-
-def _this_process() -> tuple[str, int]:
-    return socket.gethostname(), os.getpid()
 
 
 def _read_cards(folder: str | Path) -> Iterator[tuple[Path, dict[str, Any]]]:

@@ -98,8 +98,8 @@ def _collect_facts(pooled: pd.DataFrame) -> dict[str, Any]:
     rmse = facts["rmse"]
     # the manual's two figures, as it defines them: 100 (1 - training / test), 100 (1 - validation / test)
     facts["relative difference"] = {
-        "test and training": _percent_difference(rmse, "training", "test"),
-        "test and validation": _percent_difference(rmse, "validation", "test"),
+        "test and training": _percent_difference(rmse, "training"),
+        "test and validation": _percent_difference(rmse, "validation"),
         "validation above training": _percent_above(rmse, "validation", "training"),
         "test above training": _percent_above(rmse, "test", "training"),
         "validation above training, relative": _percent_above(facts["relative rmse"], "validation", "training"),
@@ -116,8 +116,8 @@ def _finite_or_none(value: float) -> float | None:
     return float(value) if np.isfinite(value) else None
 
 
-def _percent_difference(values: Mapping[str, float | None], of: str, against: str) -> float | None:
-    a, b = values.get(of), values.get(against)
+def _percent_difference(values: Mapping[str, float | None], of: str) -> float | None:
+    a, b = values.get(of), values.get("test")
     return 100.0 - 100.0 * a / b if a is not None and b else None
 
 
@@ -153,14 +153,14 @@ def compute_quartiles(found: AxisComparison, roles: Mapping[str, int]) -> list[d
         result.append(
             {
                 "band": name, "from": edges[k], "to": edges[k + 1], "rmse": rmse, "share": share,
-                "X/T": _divide(rmse, "training", "test"), "V/T": _divide(rmse, "validation", "test"),
+                "X/T": _over_test(rmse, "training"), "V/T": _over_test(rmse, "validation"),
             }
         )  # fmt: skip
     return result
 
 
-def _divide(values: Mapping[str, float], a: str, b: str) -> float | None:
-    return values[a] / values[b] if a in values and values.get(b) else None
+def _over_test(values: Mapping[str, float], of: str) -> float | None:
+    return values[of] / values["test"] if of in values and values.get("test") else None
 
 
 def compute_histogram(found: AxisComparison, roles: Mapping[str, int]) -> dict[str, Any]:

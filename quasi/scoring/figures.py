@@ -18,11 +18,6 @@ BAND_COLOURS = ("#fde8e6", "#eef5ec", "#e6effa")
 MAX_FIGURE_POINTS = 60_000  # per figure; more are not visible
 
 
-def _thin_rows(found: AxisComparison, number: int) -> np.ndarray:
-    """Thin the rows of a flight to a visible number."""
-    return np.flatnonzero(found.flight == number)[:: max(len(found.t) // MAX_FIGURE_POINTS, 1)]
-
-
 def _mark_flight_end(panels: Sequence[Axes], start: float, end: float, key: str, held_out: bool) -> None:
     for panel in panels:
         panel.axvline(end, color="0.6", lw=0.8)
@@ -44,7 +39,7 @@ def draw_comparison(found: AxisComparison, axis: str, unit: str, validation: Ite
     top, bottom = figure.subplots(2, 1, sharex=True, height_ratios=(3, 1))
     start = 0.0
     for number, key in enumerate(found.keys):
-        rows = _thin_rows(found, number)
+        rows = np.flatnonzero(found.flight == number)[:: max(len(found.t) // MAX_FIGURE_POINTS, 1)]
         if not len(rows):
             continue
         t = found.t[rows] - found.t[rows[0]] + start

@@ -80,16 +80,12 @@ def _finite(value: Any) -> bool:
 def format_latex(model: Model, scores: pd.DataFrame, diagnosis: Mapping[str, Any]) -> str:
     r"""Tables for \input in a LaTeX document: scores of all axes, then the terms of each. No packages are needed."""
     lines = [
-        f"% Model {_format_comment(model.id)}: scores and terms; include it with \\input{{...}}, no packages needed",
+        f"% Model {' '.join(model.id.split())}: scores and terms; include it with \\input{{...}}, no packages needed",
         *_format_scores(model, scores, diagnosis),
     ]
     for axis in model.axes:
         lines += _format_terms(model, axis)
     return "\n".join(lines) + "\n"
-
-
-def _format_comment(text: str) -> str:
-    return " ".join(text.split())
 
 
 def _format_scores(model: Model, scores: pd.DataFrame, diagnosis: Mapping[str, Any]) -> list[str]:

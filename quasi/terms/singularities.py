@@ -20,7 +20,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from quasi.terms.expressions import Tree, names
+from quasi.terms.expressions import MAX_EXPANDED_POWER, Tree, names
 
 MIN_DENOMINATOR_SPEED = (
     1.0  # rad/s, one turn in 6 s: lower limit of a speed in a denominator where no flown speed is known
@@ -30,7 +30,6 @@ FLOWN_SPEEDS = {f"{name}_flown": name for name in SPEED_VARIABLES}
 ADVANCE_RATIOS = {"mu_x": "u", "mu_y": "v", "mu_z": "w", "mu_vin": "v_in"}  # over the tip speed w_avg R
 _SAME = {"wavg": "w_avg", "wtot": "w_tot"}
 _MAX_PRODUCTS = 64  # products that one regressor is multiplied out to; a larger sum keeps its form
-_MAX_EXPANDED_POWER = 12  # power up to which a sum of unlike products is multiplied out
 
 Exponents = tuple[tuple[str, float], ...]
 Parts = dict[Exponents, Tree]
@@ -177,7 +176,7 @@ def _raise(parts: Parts, exponent: float) -> Parts:
         if whole or all(name == "w_avg" for name, _ in key):
             raised = tuple((name, e * exponent) for name, e in key)
             return {raised: _UNIT_NUMBER if tree == _UNIT_NUMBER else _power(tree, exponent)}
-    elif whole and 2 <= exponent <= _MAX_EXPANDED_POWER:
+    elif whole and 2 <= exponent <= MAX_EXPANDED_POWER:
         result = parts
         for _ in range(int(exponent) - 1):
             result = _multiply(result, parts)

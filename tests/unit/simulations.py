@@ -3,6 +3,7 @@
 import pandas as pd
 
 from quasi.simulation.loop.setup import make_setup
+from quasi.simulation.vehicle.dynamics import compute_loads, equations_of_motion
 
 
 def setup_of(model, duration=2.0, step=0.004, **sections):
@@ -22,3 +23,8 @@ ROUGH = {
 def assert_same(a, b):
     assert a.status == b.status and a.steps == b.steps and a.stopped == b.stopped
     pd.testing.assert_frame_equal(a.table, b.table, rtol=1e-12, atol=1e-12)
+
+
+def state_derivative(x, step_inputs, kernel, body, inputs, work, loads, derivatives):
+    compute_loads(x, step_inputs, kernel, body, inputs, work, loads)
+    equations_of_motion(x, loads, step_inputs, body, derivatives, 0)

@@ -177,6 +177,7 @@ print(json.dumps([settled["gains"], memory[WANTED_LOADS : WANTED_LOADS + 4].toli
 
 def test_recipe_of_a_compiled_controller(tmp_path):
     shutil.copytree(ROOT / "quasi", tmp_path / "quasi", ignore=shutil.ignore_patterns("__pycache__"))
+    shutil.copytree(ROOT / "config/schemas", tmp_path / "config/schemas")
     control = tmp_path / "quasi/simulation/control"
     (control / "toy.py").write_text(LAW)
     text = (control / "registry.py").read_text()

@@ -19,7 +19,7 @@ def flight():
 
 def read(path, controller, **quadrotor):
     flown = {"onboard": str(path), "flight controller": controller, "log number": None}
-    return read_onboard(flown, quadrotor, None)
+    return read_onboard(flown, quadrotor)
 
 
 def needs(name):

@@ -187,7 +187,6 @@ def test_slow_gps_home_and_event_frames():
     assert frames.counts == {
         "I": 1, "P": 2, "S": 2, "G": 1, "H": 1, "E": 7, "P after damage": 0, "rejected": 0, "unknown events": 0
     }  # fmt: skip
-    assert frames.gps.tolist() == [[1070, 12, 519999995, -42999991]]
     assert frames.slow.tolist() == [[3, 1, 0, 1, 1]]
     assert frames.events[:, 0].tolist() == [0, 13, 13, 30, 15, 40, 255]
     assert frames.events[1].tolist() == [13, 1000, 5, -2]

@@ -114,7 +114,7 @@ def test_an_uncorrected_asymmetry_is_flown_with_other_rotor_speeds(name):
     ("changes", "told"),
     [
         ({"controller": {"controller": "drone_INID"}}, "drone_INDI"),
-        ({"controller": {"controller": "drone_PID", "gains": {"velocity": {}}}}, "lacks the block 'position'"),
+        ({"controller": {"controller": "drone_PID", "gains": {"velocity": {}}}}, "lacks the key 'position'"),
         ({"references": {"kind": "figure eigth"}}, "figure eight"),
         ({"references": {"do circle track": True, "do position track": True}}, "only one of"),
     ],

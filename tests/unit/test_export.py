@@ -19,12 +19,12 @@ from quasi.export import agreement, contents
 from quasi.export.agreement import AGREEMENT_LIMIT, LIMIT_FLOAT32, compare, states_of, wrench_of
 from quasi.export.c_source import c_files
 from quasi.export.compiler import find_compiler, shared_library, write_files
-from quasi.export.contents import actuators_of, check_exportable, differential_inputs, name_in_source
+from quasi.export.contents import check_exportable, differential_inputs, name_in_source
 from quasi.export.listing import of_model
 from quasi.export.naming import identifier, name_of, shown
 from quasi.export.python_source import python_file
 from quasi.export.running import check_c, check_python, run_c, run_python
-from quasi.model.extensions import DEFAULT_LAG
+from quasi.model.extensions import DEFAULT_LAG, actuators_of
 from quasi.model.model import Model, read_model
 from quasi.tables import read_json, write_json
 
@@ -395,7 +395,7 @@ def test_extensions_with_states_are_refused_by_name():
 @pytest.mark.parametrize("actuators", [{"time constants": {"value": "fast"}}, {"time constants": {"value": [0.0]}},
                                        {"delay": {"value": math.nan}}])  # fmt: skip
 def test_damaged_actuators_are_refused(actuators):
-    with pytest.raises(ConfigError, match="model m"):
+    with pytest.raises(DataError, match="model m"):
         c_files(Model({**document(), "actuators": actuators}))
 
 

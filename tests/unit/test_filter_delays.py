@@ -93,12 +93,12 @@ def test_a_decoded_log_without_its_header_leaves_the_delays_in_doubt(tmp_path):
     flight = {"flight": "f", "flight controller": "betaflight", "onboard": str(tmp_path / "log.csv")}
     text, notes = tool_csv(rows=600), []
     (tmp_path / "log.csv").write_text(text)
-    board = gather(read_onboard(flight, {}, 14), "f", notes)
+    board = gather(read_onboard(flight, {"motor poles": 14}), "f", notes)
     assert board.delays["gyro"]["std"] == board.motion().gyro_doubt == 2e-3
     assert board.motion().accelerometer_doubt == 20e-3
     assert any("gyro and accelerometer were filtered on board" in n and "Give the .bbl" in n for n in cautions(notes))
     (tmp_path / "log.csv").write_text('"gyro_lpf1_static_hz","250"\n"acc_lpf_hz","0"\n' + text)
     notes.clear()
-    told = gather(read_onboard(flight, {}, 14), "f", notes).delays
+    told = gather(read_onboard(flight, {"motor poles": 14}), "f", notes).delays
     assert told["gyro"]["value"] > 0.0 and told["gyro"]["std"] == told["accelerometer"]["std"] == 0.0
     assert not any("filtered on board" in n for n in notes)

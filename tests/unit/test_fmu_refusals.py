@@ -8,7 +8,7 @@ from fmpy.validation import validate_fmu
 from made_model import TERMS, document
 from programs import script
 
-from quasi.errors import ConfigError
+from quasi.errors import ConfigError, DataError
 from quasi.export.compiler import find_compiler, write_files
 from quasi.export.fmu_archive import write_fmu
 from quasi.export.fmu_source import forces_fmu, vehicle_fmu
@@ -21,9 +21,9 @@ pytestmark = pytest.mark.skipif(find_compiler() is None, reason="no C compiler")
 def test_vehicle_needs_what_a_vehicle_knows():
     with pytest.raises(ConfigError, match="'v_in', which a vehicle cannot supply"):
         vehicle_fmu(model({**TERMS, "Mz": {"r*v_in": 1.0}}))
-    with pytest.raises(ConfigError, match="lacks Mz"):
+    with pytest.raises(DataError, match="lacks Mz"):
         vehicle_fmu(model({axis: TERMS[axis] for axis in AXES[:5]}))
-    with pytest.raises(ConfigError, match="knows no mass"):
+    with pytest.raises(DataError, match="has no mass"):
         vehicle_fmu(Model({**document(), "airframe": {**document()["airframe"], "mass": None}}))
     with pytest.raises(ConfigError, match="does not state that of its flights"):
         vehicle_fmu(model({**TERMS, "Mz": {"r*battery_voltage": 1.0}}))

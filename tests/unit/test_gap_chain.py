@@ -8,7 +8,6 @@ import pytest
 from test_gap_extension import CATALOGUE, base_of, flight
 
 from quasi.errors import ConfigError
-from quasi.export.contents import actuators_of as exported_rotors
 from quasi.export.contents import voltage_of
 from quasi.gap.catalogue import columns_of
 from quasi.gap.causes.inertia import ENTRIES
@@ -21,7 +20,14 @@ from quasi.gap.flights.instruments import shown
 from quasi.gap.levels.drive.fit import belief_of
 from quasi.gap.levels.forces.identify import WEIGHING, _carried
 from quasi.model.columns import STATE
-from quasi.model.extensions import correct_columns, correct_flight, drive_of, read_rotor_constants, wind_of
+from quasi.model.extensions import (
+    actuators_of,
+    correct_columns,
+    correct_flight,
+    drive_of,
+    read_rotor_constants,
+    wind_of,
+)
 from quasi.model.model import AXES, Model
 from quasi.simulation.control.control_model import make_control_model
 from quasi.simulation.tools.replay import read_actuator_dynamics, replay
@@ -249,7 +255,7 @@ def test_a_lag_that_was_found_is_the_model_s_own_from_then_on():
     known = extended(known, ("battery_sag", {"exponent": 0.9, "reference voltage": 15.8}))
     assert drive_of(known.document)["command map"]["reference voltage"] == 15.0
     assert "reference voltage" not in base.document["actuators"]["command map"]
-    in_replay, exported = read_actuator_dynamics(lagging), exported_rotors(lagging)
+    in_replay, exported = read_actuator_dynamics(lagging), actuators_of(lagging)
     for found in (in_replay, exported):
         np.testing.assert_allclose([found.up, found.down], np.tile(lags, (4, 1)).T)
         assert found.delay == pytest.approx(0.014)

@@ -137,7 +137,7 @@ def test_tables_pass_the_same_checks(tmp_path):
         "time": {"column": "t"},
         "sources": [{"name": "imu", "columns": {n: n for n in frame.columns if n != "t"}}],
     }
-    found = read_onboard(flight_of(tmp_path / "a.csv", "table"), {"table columns": mapping}, None)
+    found = read_onboard(flight_of(tmp_path / "a.csv", "table"), {"table columns": mapping})
     assert [s["reason"][:12] for s in spans_of(found)] == ["rotor 4 (w4)"]
 
 
@@ -153,8 +153,8 @@ def in_other_axes(flown, fields=TURNED):  # noqa: F811
 
 
 def test_body_axes_are_decided_from_the_log_and_stated_in_one_note(tmp_path, flown):  # noqa: F811
-    own = read_onboard(as_csv(tmp_path, flown), {}, None)
-    other = read_onboard(as_csv(tmp_path, in_other_axes(flown)), {}, None)
+    own = read_onboard(as_csv(tmp_path, flown), {})
+    other = read_onboard(as_csv(tmp_path, in_other_axes(flown)), {})
     for name in ("p", "q", "r", "ax", "ay", "az"):
         assert np.array_equal(own.series["onboard"].values[name], other.series["onboard"].values[name])
     for found, axes in ((own, "z down"), (other, "z up")):
@@ -166,12 +166,12 @@ def test_body_axes_are_decided_from_the_log_and_stated_in_one_note(tmp_path, flo
 
 def test_body_axes_can_be_forced_and_a_contradiction_calls_for_care(tmp_path, flown):  # noqa: F811
     flight = as_csv(tmp_path, in_other_axes(flown))
-    found = read_onboard(flight, {"logged body axes": "FRD"}, None)
+    found = read_onboard(flight, {"logged body axes": "FRD"})
     assert np.median(found.series["onboard"].values["az"]) > 9.0
     assert any("contradict" in note for note in cautions(found.notes))
-    assert not cautions(read_onboard(flight, {"logged body axes": "FLU"}, None).notes)
+    assert not cautions(read_onboard(flight, {"logged body axes": "FLU"}).notes)
     with pytest.raises(ConfigError, match="logged body axes"):
-        read_onboard(flight, {"logged body axes": "NED"}, None)
+        read_onboard(flight, {"logged body axes": "NED"})
 
 
 @pytest.mark.parametrize(
@@ -179,7 +179,7 @@ def test_body_axes_can_be_forced_and_a_contradiction_calls_for_care(tmp_path, fl
 )
 def test_body_axes_of_which_neither_kind_fits_are_refused(tmp_path, flown, fields):  # noqa: F811
     with pytest.raises(ReadError, match="neither x forward, y right, z down nor") as error:
-        read_onboard(as_csv(tmp_path, in_other_axes(flown, fields)), {}, None)
+        read_onboard(as_csv(tmp_path, in_other_axes(flown, fields)), {})
     assert "logged body axes" in str(error.value)
 
 
@@ -187,7 +187,7 @@ def test_without_an_attitude_the_specific_force_alone_turns_no_axes(tmp_path, fl
     fields = [f for f in FIELDS if f.startswith(("gyroADC[", "accSmooth", "motor"))]
     for number, made in enumerate((flown, in_other_axes(flown))):
         flight = as_csv(tmp_path, made, fields) | {"flight controller": "betaflight"}
-        found = read_onboard(flight, {}, None)
+        found = read_onboard(flight, {})
         # Betaflight's convention: y left, z up, which the first does not keep
         assert found.metadata["body axes logged"] == "x forward, y left, z up"
         assert any("contradict" in note for note in cautions(found.notes)) == (number == 0)

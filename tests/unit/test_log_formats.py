@@ -49,7 +49,7 @@ def truth_of(flight):
 @pytest.mark.parametrize("name", WRITERS)
 def test_each_format_is_read_to_its_resolution(logs, flight, name):
     _, flown, quadrotor = logs(name)
-    recording = read_onboard(flown, quadrotor, None)
+    recording = read_onboard(flown, quadrotor)
     limits = RESOLUTION.get(name, RESOLUTION["default"])
     truth = truth_of(flight)
     for group, names in GROUPS.items():

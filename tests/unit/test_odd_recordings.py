@@ -48,8 +48,8 @@ def test_a_log_number_of_a_file_that_holds_one_log_is_refused(tmp_path):
     path.write_text(tool_csv())
     flight = {"flight controller": "betaflight", "onboard": str(path), "log number": 2}
     with pytest.raises(ReadError, match="no blackbox file of several logs, but the logbook asks for log 2"):
-        read_onboard(flight, {}, 14)
-    assert read_onboard({**flight, "log number": 1}, {}, 14).series["onboard"].values
+        read_onboard(flight, {"motor poles": 14})
+    assert read_onboard({**flight, "log number": 1}, {"motor poles": 14}).series["onboard"].values
 
 
 def test_a_clock_that_starts_again_is_refused(tmp_path):

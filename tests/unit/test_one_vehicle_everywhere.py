@@ -10,8 +10,8 @@ from made_model import document
 from matlab_models import flown, octave
 
 from quasi.attitude import GRAVITY
-from quasi.errors import ConfigError
-from quasi.export.contents import actuators_of, voltage_of
+from quasi.errors import DataError
+from quasi.export.contents import voltage_of
 from quasi.export.matlab import write_matlab
 from quasi.export.matlab_check import run_octave
 from quasi.gap.catalogue import catalogue
@@ -19,6 +19,7 @@ from quasi.gap.comparing.model_comparison import compare_models
 from quasi.gap.levels.rollouts.open_loop import ERROR_UNITS, MOVED_BY, fell, rms
 from quasi.gap.planning.flatness import limits_of
 from quasi.gap.report.wording import rivals_words
+from quasi.model.extensions import actuators_of
 from quasi.model.hover import find_hover_speed
 from quasi.model.model import AXES, Model
 from quasi.pages.model import _render_rotors
@@ -168,7 +169,7 @@ def test_terms_of_an_extension_are_added_once():
 
 
 def test_three_time_constants_are_refused():
-    with pytest.raises(ConfigError, match="expected finite numbers"):
+    with pytest.raises(DataError, match="expected positive seconds"):
         actuators_of(made(actuators={"time constants": {"value": [0.02] * 3}}))
 
 

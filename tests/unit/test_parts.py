@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from plain_plant import made_model
 from scipy.integrate import solve_ivp
+from simulations import state_derivative
 
 from quasi.attitude import GRAVITY, from_euler, matrix, to_euler
 from quasi.errors import ConfigError
@@ -21,7 +22,6 @@ from quasi.simulation.vehicle.dynamics import (
     integrate_step,
     make_body_constants,
     make_scratch,
-    state_derivative,
 )
 from quasi.simulation.vehicle.layout import GIVEN_ACCELERATION, ROTOR_SPEEDS, STATE_SIZE, TARGET_SPEED
 from quasi.simulation.vehicle.payload_and_inflow import PayloadAndInflow, write_payload_and_inflow

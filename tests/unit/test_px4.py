@@ -23,7 +23,7 @@ def flight():
 
 
 def read(path, **quadrotor):
-    return read_onboard({"onboard": str(path), "flight controller": "px4", "log number": None}, quadrotor, None)
+    return read_onboard({"onboard": str(path), "flight controller": "px4", "log number": None}, quadrotor)
 
 
 def written(folder, flight, formats, add, names=ULOG_FORMATS, parameters=None):

@@ -74,8 +74,8 @@ def test_files_of_other_formats_are_named_by_the_reader_that_meets_them(tmp_path
     for path in (tmp_path / "flight.bbl", tmp_path / "flight.csv"):
         path.write_bytes(data)
         readers = {
-            "betaflight": partial(read_onboard, flight_of(path), {}, None),
-            "table": partial(read_onboard, flight_of(path, "table"), {"table columns": MAPPING}, None),
+            "betaflight": partial(read_onboard, flight_of(path), {}),
+            "table": partial(read_onboard, flight_of(path, "table"), {"table columns": MAPPING}),
             "motive": partial(read_motive, path, "B"),
             "wind": partial(read_lvm, path),
         }
@@ -102,7 +102,7 @@ def test_a_pickle_is_named_and_never_opened(tmp_path, protocol):
     path = tmp_path / "flight.csv"
     path.write_bytes(data)
     with pytest.raises(ReadError, match="pickle"):
-        read_onboard(flight_of(path, "table"), {"table columns": MAPPING}, None)
+        read_onboard(flight_of(path, "table"), {"table columns": MAPPING})
     assert not (tmp_path / "sprung").exists()
 
 
@@ -133,9 +133,9 @@ def blackbox_log():
 def test_content_decides_how_a_file_is_read(tmp_path, name):
     path = tmp_path / name
     path.write_bytes(blackbox_log())
-    assert read_onboard(flight_of(path), {}, None).metadata["reader"] == "blackbox"
+    assert read_onboard(flight_of(path), {}).metadata["reader"] == "blackbox"
     path.write_text("time (us),gyroADC[0],gyroADC[1],gyroADC[2]\n" + "".join(f"{1000 * i},1,2,3\n" for i in range(30)))
-    assert read_onboard(flight_of(path), {}, None).metadata["reader"] == "decoded blackbox"
+    assert read_onboard(flight_of(path), {}).metadata["reader"] == "decoded blackbox"
 
 
 def test_a_near_file_is_named_with_what_it_holds(tmp_path):
@@ -155,5 +155,5 @@ def test_a_near_file_is_named_with_what_it_holds(tmp_path):
 @needs_cases
 @pytest.mark.parametrize("name", ["LOG00012.TXT", "noext"])
 def test_cases_with_odd_extensions_are_read(name):
-    recording = read_onboard(flight_of(CASES / "5_exists_but_not_found" / name), {}, None)
+    recording = read_onboard(flight_of(CASES / "5_exists_but_not_found" / name), {})
     assert recording.metadata["reader"] == "blackbox" and len(recording.series["onboard"].t) > 1000

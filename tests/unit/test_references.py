@@ -5,7 +5,8 @@ import pytest
 from scipy.interpolate import CubicSpline
 
 from quasi.errors import ConfigError, DataError
-from quasi.simulation.control.references import REFERENCE_KINDS, evaluate_reference, make_reference
+from quasi.project.configuration import schema
+from quasi.simulation.control.references import evaluate_reference, make_reference
 
 X, V, ANGLES, RATES, THRUST, TURN, A = slice(1, 4), slice(4, 7), slice(7, 10), slice(10, 13), 13, 14, slice(15, 18)
 
@@ -170,20 +171,20 @@ def test_steps_of_attitude_and_rates_carry_a_thrust_or_the_weight():
         ({"kind": "figure eight", "amplitud": 1}, "did you mean 'amplitude'"),
         ({"kind": "figure eight", "amplitude": "big"}, "'amplitude' is 'big', expected a number"),
         ({"kind": "figure eight", "angular speed": 0}, "not 0"),
-        ({"kind": "circle", "radius": 0}, "'radius' is 0, expected a positive number"),
-        ({"kind": "circle", "heading": "north"}, "'heading' is 'north', expected rad, or 'along path'"),
+        ({"kind": "circle", "radius": 0}, "'radius' is 0, .*it means: m, above 0"),
+        ({"kind": "circle", "heading": "north"}, "'heading' is 'north', .*rad, or 'along path'"),
         ({"kind": "circle", "centre": [0, 0, -2]}, "two numbers, m, north and east"),
         ({"kind": "figure eight", "do circle track": True}, "only one of"),
         ({"do position track": True, "do circle track": True}, "only one of"),
         ({"kind": "hover", "position": [0, 1]}, "three numbers"),
         ({"kind": "position steps", "steps": []}, "a list of rows"),
         ({"kind": "position steps", "steps": [[0, 0, 0, 0], [1, 2, 3]]}, "row 2 is"),
-        ({"kind": "position steps", "steps": [[0, 0, 0, float("nan")]]}, "row 1 is"),
+        ({"kind": "position steps", "steps": [[0, 0, 0, float("nan")]]}, "'steps' / entry 1 / entry 4 is nan"),
         ({"kind": "position steps", "steps": [[2, 0, 0, 0], [1, 0, 0, 0]]}, "row 2 is at 1 s"),
         ({"kind": "position steps", "steps": [[0, 0, 0, 0], [1, 0, 0, 0]], "transition": 3}, "transition of 3 s"),
         ({"kind": "position steps", "transition": -1}, "0 or more"),
         ({"kind": "table"}, "has no table"),
-        ({"kind": "table", "end": "loop"}, "'hold' or 'repeat'"),
+        ({"kind": "table", "end": "loop"}, "expected one of 'hold', 'repeat'"),
     ],
 )
 def test_wrong_settings_are_named(settings, told):
@@ -207,7 +208,7 @@ def test_tables_that_cannot_be_followed_are_named(change, told):
 
 
 def test_every_kind_can_be_made_from_its_defaults():
-    for kind in REFERENCE_KINDS:
+    for kind in schema("simulation")["$defs"]:
         table = SAMPLES if kind == "table" else None
         assert np.all(np.isfinite(np.delete(goals({"kind": kind}, [0.0, 3.3, 50.0], table), THRUST, axis=1)))
 

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from simulations import state_derivative
 
 from quasi.attitude import GRAVITY, to_euler
 from quasi.model.model import Model
@@ -20,7 +21,6 @@ from quasi.simulation.vehicle.dynamics import (
     WIND_VELOCITY,
     make_body_constants,
     make_scratch,
-    state_derivative,
 )
 
 S = np.array([1.0, -1.0, -1.0])

@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pytest
 from plain_plant import made_model
+from simulations import state_derivative
 
 from quasi.attitude import GRAVITY, from_euler, matrix
 from quasi.model.model import Model
@@ -22,7 +23,6 @@ from quasi.simulation.vehicle.dynamics import (
     integrate_step,
     make_body_constants,
     make_scratch,
-    state_derivative,
 )
 from quasi.simulation.vehicle.sensors_and_wind import (
     SENSOR_ROW,

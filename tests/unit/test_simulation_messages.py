@@ -44,11 +44,11 @@ def test_a_time_step_that_the_integrator_cannot_take_is_refused(model):
         ({"wind": {"file": "wind.csv"}}, "'wind' / 'file' is 'wind.csv', but .*does not exist"),
         ({"references": {"kind": "table", "file": "r.csv"}}, "'references' / 'file' is 'r.csv', but .*does not exist"),
         ({"battery": {"exponent": 1.0}}, "no 'voltage'"),
-        ({"controller": {"controller": "INDI", "gains": {"rates": {}}}}, "my_sim: .*lacks the block 'position'"),
+        ({"controller": {"controller": "INDI", "gains": {"rates": {}}}}, "my_sim: .*lacks the key 'position'"),
         ({"references": {"kind": "position steps", "steps": [[1, 0, 0]]}}, "my_sim: reference steps of .*row 1"),
         ({"simulation": {"time step": math.nan}}, "my_sim: 'simulation' / 'time step' is nan, expected a finite"),
         ({"simulation": {"duration": math.inf}}, "my_sim: 'simulation' / 'duration' is inf, expected a finite"),
-        ({"controller": {"gains": {"rates": {"time constant": math.nan}}}}, "'rates' / 'time constant' is nan"),
+        ({"controller": {"limits": {"tilt": math.nan}}}, "'limits' / 'tilt' is nan"),
         ({"simulation": {"time step": 1e-9, "duration": 1e6}}, "exceed the 5,000,000 rows"),
         (
             {"initial state conditions": {"rotor speeds": [1e200] * 4}},
@@ -97,7 +97,7 @@ def test_a_fault_that_cannot_be_seen_is_told(model, faults, note):
      {"time constants": {"value": [0.02, 0.02, -0.02, 0.02]}}],
 )  # fmt: skip
 def test_damaged_actuators_of_a_model_are_a_sentence(model, actuators):
-    with pytest.raises(DataError, match="'actuators'.*expected (seconds|a section)"):
+    with pytest.raises(DataError, match="'actuators'.*expected (positive |)(seconds|a section)"):
         setup_of(Model({**model.document, "actuators": actuators}))
 
 

@@ -26,6 +26,7 @@ from scipy.signal import butter, sosfiltfilt
 from quasi.importing.series import interpolate_columns
 
 RESIDUAL_BLOCK = 1.0  # s, longer than what correlates the residuals
+MOST_PEAKS = 4  # of a correlation, that a lag may be at
 
 
 @dataclass(frozen=True)
@@ -174,11 +175,11 @@ def correlation(pairs: Sequence[tuple[Uniform, Uniform]], least_overlap: float) 
     return lags, np.where(count == len(pairs), total / np.maximum(count, 1), np.nan)
 
 
-def peaks(lags: np.ndarray, height: np.ndarray, apart: float, most: int = 4) -> list[tuple[float, float]]:
+def peaks(lags: np.ndarray, height: np.ndarray, apart: float) -> list[tuple[float, float]]:
     """The highest (lag, correlation), highest first, each at least `apart` s from those before it."""
     left = np.nan_to_num(height, nan=-np.inf).copy()
     found: list[tuple[float, float]] = []
-    while len(found) < most and np.max(left, initial=-np.inf) > 0:
+    while len(found) < MOST_PEAKS and np.max(left, initial=-np.inf) > 0:
         i = int(np.argmax(left))
         inner = 0 < i < len(left) - 1
         if (inner and left[i] >= max(height[i - 1], height[i + 1])) or not inner:

@@ -48,7 +48,8 @@ def _npz(path: Path, data: bytes, left_out: list[str]) -> Iterator[tuple[str, np
         archive = np.load(io.BytesIO(data), allow_pickle=False)
         names = archive.files
     except Exception as error:  # zipfile and numpy raise their own kinds for a damaged archive
-        raise ReadError(f"{path} is no readable NumPy archive ({_reason(error)}); save it by numpy.savez") from None
+        reason = " ".join(str(error).split())[:120] or "damaged"
+        raise ReadError(f"{path} is no readable NumPy archive ({reason}); save it by numpy.savez") from None
     size = sum(member.file_size for member in archive.zip.infolist())
     check_size(path, size, MAX_UNPACKED_BYTES, "the unpacked archive", "save only the signals that are used")
     for name in names:
@@ -82,7 +83,3 @@ def _columns(name: str, values: np.ndarray) -> dict[str, np.ndarray]:
     if values.shape[1] > MOST_COLUMNS:
         return {}
     return {f"{name}[{k}]": values[:, k].astype(float) for k in range(values.shape[1])}
-
-
-def _reason(error: Exception) -> str:
-    return " ".join(str(error).split())[:120] or "damaged"

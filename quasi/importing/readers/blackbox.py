@@ -18,7 +18,6 @@ from quasi.tables import read_bytes
 MOST_SPANS = 2000
 MOST_EVENTS = 2000
 MOST_CHANGES = 2000
-MOST_GPS = 100_000
 CHOOSE = " (another: 'Log number' in the logbook, `--log-number` of `quasi noise`)"
 BLACKBOX_GAP = 1.5  # times the usual step: a longer one is a gap
 EVENT_NAMES = {
@@ -42,7 +41,6 @@ class Frames:
     spans    (m, 4) int64: first damaged byte, byte behind, time before, time of the next good frame (-1 = none)
     events   (m, 4) int64: code, time, and its two numbers
     slow     (changes, fields) of the S frames that differ from the one before, with slow_time
-    gps      (rows, fields) of the G frames
     ended    the log closes with its end-of-log event
     """
 
@@ -53,7 +51,6 @@ class Frames:
     events: np.ndarray
     slow: np.ndarray
     slow_time: np.ndarray
-    gps: np.ndarray
     ended: bool
 
 
@@ -71,9 +68,8 @@ def decode(data: bytes, log: Log, fields: set[str] | None = None) -> Frames:
     main, time = np.empty((len(keep), capacity)), np.empty(capacity, np.int64)
     slow = np.zeros((MOST_CHANGES, max(1, sizes[2])), np.int64)
     slow_time = np.zeros(MOST_CHANGES, np.int64)
-    gps = np.empty((MOST_GPS if sizes[3] else 1, max(1, sizes[3])), np.int64)
     spans, events = np.zeros((MOST_SPANS, 4), np.int64), np.zeros((MOST_EVENTS, 4), np.int64)
-    constants = np.zeros(7, np.int64)
+    constants = np.zeros(4, np.int64)
     constants[kernel.MIN_THROTTLE] = _whole(header.get("minthrottle"))
     constants[kernel.BATTERY_REFERENCE] = _whole(header.get("vbatref"))
     constants[kernel.MIN_MOTOR] = _whole(header.get("motorOutput", "").split(",")[0])
@@ -92,7 +88,6 @@ def decode(data: bytes, log: Log, fields: set[str] | None = None) -> Frames:
         time,
         slow,
         slow_time,
-        gps,
         spans,
         events,
     )
@@ -109,7 +104,6 @@ def decode(data: bytes, log: Log, fields: set[str] | None = None) -> Frames:
         events=events[: tally[kernel.EVENTS]],
         slow=slow[: tally[kernel.SLOW]],
         slow_time=slow_time[: tally[kernel.SLOW]],
-        gps=gps[: tally[kernel.GPS]].copy(),
         ended=bool(tally[kernel.ENDED]),
     )
 

@@ -192,16 +192,13 @@ def _layout(header: Mapping[str, str]) -> tuple[dict[str, list[str]], np.ndarray
 
 
 def _argument(name: str, predictor: int, names: list[str], i: int, kind: str) -> int:
-    """What the predictor of a field refers to: the place of motor[0], or which home coordinate."""
+    """What the predictor of a field refers to: the place of motor[0]."""
     if not 0 <= predictor <= 11:
         raise _Unreadable(f"field '{name}' of its {kind} frames uses predictor {predictor}, which is not known")
     if predictor == 5:
         if "motor[0]" not in names[:i]:
             raise _Unreadable(f"field '{name}' is predicted from motor[0], which does not stand before it")
         return names.index("motor[0]")
-    if predictor == 7:
-        place = re.search(r"\[([0-2])\]$", name)
-        return int(place.group(1)) if place else 0
     return 0
 
 

@@ -13,10 +13,10 @@ from numba import njit
 
 FRAME_KINDS = "IPSGHE"
 ENCODING, PREDICTOR, ARGUMENT, SIGNED, GROUP = range(5)
-# constants that predictors refer to; three home coordinates follow HOME
-MIN_THROTTLE, BATTERY_REFERENCE, MAIN_TIME, MIN_MOTOR, HOME = range(5)
-DROPPED_P, REJECTED, UNKNOWN_EVENTS, ENDED, MAIN, SLOW, GPS, SPANS, EVENTS, LAST = range(6, 16)
-TALLY = 16
+# constants that predictors refer to
+MIN_THROTTLE, BATTERY_REFERENCE, MAIN_TIME, MIN_MOTOR = range(4)
+DROPPED_P, REJECTED, UNKNOWN_EVENTS, ENDED, MAIN, SLOW, SPANS, EVENTS = range(6, 14)
+TALLY = 14
 
 _MASK = 0xFFFFFFFF
 _LONGEST_FRAME = 1024  # bytes of one frame; the longest that firmware writes are about 300
@@ -197,8 +197,6 @@ def add_predictions(layout, kind, n, raw, history, before, before2, now, constan
             value += history[now, layout[kind, ARGUMENT, i]]
         elif how == 6:
             value += history[before, i] + 1 + skipped
-        elif how == 7:
-            value += constants[HOME + layout[kind, ARGUMENT, i]]
         elif how == 8:
             value += 1500
         elif how == 9:
@@ -248,7 +246,7 @@ def _read_event(data, at, end):
 
 @njit(cache=True)
 def decode_frames(
-    data, start, end, layout, sizes, clock, constants, skips, keep, main, time, slow, slow_time, gps, spans, events
+    data, start, end, layout, sizes, clock, constants, skips, keep, main, time, slow, slow_time, spans, events
 ):
     """Decode the frames data[start:end] of one log.
 
@@ -256,11 +254,12 @@ def decode_frames(
     layout    (5, 5, fields) int64: of each kind I P S G H the encoding, predictor, argument, sign, group of each field
     sizes     (5,) number of fields per kind; 0 = the log defines no such frame
     clock     (2,) index of the fields time and loopIteration (-1 = not logged)
-    constants (7,) what predictors refer to; changed while reading
+    constants (4,) what predictors refer to; changed while reading
     skips     (I interval,) iterations left out after the iteration of that place in the interval
     keep      (k,) main fields to store
-    Filled: main (k, frames) float64 and time (frames,) us, 64 bit; slow (changes, fields) with slow_time; gps (rows,
-    fields); spans (m, 4): first byte, byte behind, time before, time after (-1 = none); events (m, 4): code, time, a, b
+    Filled: main (k, frames) float64 and time (frames,) us, 64 bit; slow (changes, fields) with slow_time; spans
+    (m, 4): first byte, byte behind, time before, time after (-1 = none); events (m, 4): code, time, a, b. Frames of
+    GPS are counted alone, no quantity comes from them.
     Returns   (TALLY,) counts of good frames per kind and of the rest, in the order of the names above.
     """
     tally = np.zeros(TALLY, np.int64)
@@ -376,19 +375,8 @@ def decode_frames(
                     slow[m, i] = other[1, i]
                 slow_time[m] = last
                 tally[SLOW] += 1
-        elif kind == 3:
-            add_predictions(layout, kind, sizes[3], raw, other, zero, zero, one, constants, zero)
-            m = tally[GPS]
-            if m < gps.shape[0]:
-                for i in range(sizes[3]):
-                    gps[m, i] = other[1, i]
-                tally[GPS] += 1
-            tally[3] += 1
-        elif kind == 4:
-            add_predictions(layout, kind, sizes[4], raw, other, zero, zero, one, constants, zero)
-            for i in range(min(3, sizes[4])):
-                constants[HOME + i] = other[1, i]
-            tally[4] += 1
+        elif kind <= 4:
+            tally[kind] += 1
         else:
             tally[5] += 1
             m = tally[EVENTS]
@@ -412,5 +400,4 @@ def decode_frames(
             spans[m, 0], spans[m, 2] = lost, lost_time
         spans[m, 1], spans[m, 3] = at, -1
     tally[MAIN] = n
-    tally[LAST] = at
     return tally

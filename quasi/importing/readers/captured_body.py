@@ -33,19 +33,21 @@ def number_in(cell: str) -> float:
 
 
 def choose_body(bodies: list[str], wanted: str | None, path: Path) -> str:
-    """The name of the vehicle among those in a capture, whatever its case; None wants the only one.
+    """The name of the vehicle among those in a capture, whatever its case and blanks; None wants the only one.
 
     Raises ReadError where it is absent, or where several could be meant.
     """
     if wanted is None and len(bodies) > 1:
         raise ReadError(f"{path} holds the rigid bodies {', '.join(bodies)}; name the vehicle's")
-    if wanted is None and bodies:
-        return bodies[0]
-    name = next((body for body in bodies if body.lower() == str(wanted).lower()), None)
-    if name is None:
-        what = f"no rigid body '{wanted}'{nearest(str(wanted), bodies)}" if bodies else "no rigid body at all"
-        raise ReadError(f"{path} holds {what}; correct 'Rigid Body Name' in the logbook, or export its 6DOF data")
-    return name
+    alike = bodies if wanted is None else [b for b in bodies if _plain(b) == _plain(wanted)]
+    if wanted in bodies or len(alike) == 1:
+        return wanted if wanted in bodies else alike[0]
+    what = f"no rigid body '{wanted}'{nearest(str(wanted), bodies)}" if bodies else "no rigid body at all"
+    raise ReadError(f"{path} holds {what}; correct 'Rigid Body Name' in the logbook, or export rigid bodies")
+
+
+def _plain(name: str) -> str:
+    return " ".join(name.replace("_", " ").lower().split())
 
 
 def capture_reader(name: str, kinds: tuple[str, ...], read: Callable[..., Recording]) -> Reader:

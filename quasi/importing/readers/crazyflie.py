@@ -16,7 +16,7 @@ from quasi.errors import Caution, ReadError
 from quasi.importing.readers.crazyflie_events import EventLog, EventType, decode_events
 from quasi.importing.readers.reader import Reader, Request
 from quasi.importing.readers.signals import Signals
-from quasi.importing.readers.table_mapping import read_mapping
+from quasi.importing.readers.table_mapping import QUATERNION, VECTOR_COLUMNS, read_mapping
 from quasi.importing.readers.table_reader import read_signals
 from quasi.importing.series import Recording
 from quasi.tables import read_bytes
@@ -37,8 +37,6 @@ STANDARD: dict[str, tuple[tuple[str, str], ...]] = {
     "throttle": (("stabilizer.thrust", "1/65535"),),
     "battery_voltage": (("pm.vbatMV", "mV"), ("pm.vbat", "V")),
 }
-LOGGED_TOGETHER = (("p", "q", "r"), ("ax", "ay", "az"), ("qw", "qx", "qy", "qz"), ("x", "y", "z"), ("vx", "vy", "vz"),
-          ("linear_ax", "linear_ay", "linear_az"))  # fmt: skip
 REVERSED_PITCH = (f"{ESTIMATE}.pitch", "stabilizer.pitch")
 MIN_RECORDS = 20  # as of a table's rows
 
@@ -78,7 +76,7 @@ def read_crazyflie(path: str | Path, mapping: Mapping[str, Any] | None = None, p
             "checksum": log.checksum,
             "ended": log.checksum != "missing",
             "event types": {event.name: {"records": len(event.chunks)} for event in log.types.values()},
-            "variables not mapped": _unused(signals.columns, mapping),
+            "variables not mapped": [name for name in signals.columns if f"'{name}'" not in str(mapping)],
             "reversed": [name for name in signals.columns if name.rsplit("/", 1)[-1] in REVERSED_PITCH],
         }
     )
@@ -95,7 +93,7 @@ def standard_mapping(names: Collection[str]) -> dict[str, Any]:
         found = next(((name, unit) for name, unit in candidates if name in names), None)
         if found is not None:
             columns[quantity] = {"column": found[0], "unit": found[1]}
-    for group in LOGGED_TOGETHER:
+    for group in (*VECTOR_COLUMNS.values(), QUATERNION):
         if not all(name in columns for name in group):
             for name in group:
                 columns.pop(name, None)
@@ -115,12 +113,6 @@ def _signals(log: EventLog, main: EventType) -> Signals:
             {f"{before}{name}": -v if name in REVERSED_PITCH else v for name, v in values.items()}
         )
     return Signals(frames, clocks)
-
-
-def _unused(names: Collection[str], mapping: Mapping[str, Any]) -> list[str]:
-    """Variables that no quantity takes."""
-    used = str(mapping)
-    return [name for name in names if f"'{name}'" not in used]
 
 
 def _read(request: Request) -> Recording:

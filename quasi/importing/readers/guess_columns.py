@@ -15,7 +15,7 @@ import pandas as pd
 
 from quasi.errors import DataError
 from quasi.importing.command_units import recognise_unit
-from quasi.importing.readers.table_text import numbers_of
+from quasi.importing.readers.table_text import numbers_of, split_lists
 
 G = 9.80665  # m/s2
 LARGEST_RATE = 35.0  # rad/s, full scale of the common gyros (2000 deg/s); the 99 % quantile of a flight lies below
@@ -119,15 +119,13 @@ def guess_columns(frames: Mapping[str, pd.DataFrame]) -> Guess:
 
 def _with_lists(table: pd.DataFrame) -> pd.DataFrame:
     """The table with columns "name[k]" for those whose cells are lists."""
-    added: dict[str, np.ndarray] = {}
+    entries: list[str] = []
     for name in table.columns:
         cell = table[name].dropna().iloc[0] if table[name].notna().any() else None
         listed = isinstance(cell, np.ndarray | list) or (isinstance(cell, str) and len(numbers_of(cell)) > 1)
         if listed and 2 <= len(numbers_of(cell)) <= 16 and re.fullmatch(r"[\[\(\s\d.,;eE+-]*[\]\)]?", str(cell)):
-            rows = [numbers_of(c) for c in table[name]]
-            for k in range(len(numbers_of(cell))):
-                added[f"{name}[{k}]"] = np.array([row[k] if k < len(row) else np.nan for row in rows])
-    return table.assign(**added) if added else table
+            entries += [f"{name}[{k}]" for k in range(len(numbers_of(cell)))]
+    return split_lists(table, entries)
 
 
 def _plain(name: str) -> str:
@@ -178,12 +176,10 @@ def _quantities(table: pd.DataFrame, remarks: list[str], taken: set[str]) -> dic
     """{quantity: entry of the mapping} of what a table holds beyond what was taken."""
     columns: dict[str, Any] = {}
 
-    def put(names: tuple[str, ...], found: list[str] | None, unit: str = "", frame: str = "") -> None:
+    def put(names: tuple[str, ...], found: list[str] | None, unit: str = "") -> None:
         if found and not taken & set(names):
             for quantity, name in zip(names, found):
-                columns[quantity] = (
-                    {"column": name} | ({"unit": unit} if unit else {}) | ({"frame": frame} if frame else {})
-                )
+                columns[quantity] = {"column": name} | ({"unit": unit} if unit else {})
 
     for names, patterns in VECTOR_PATTERNS:
         found = _columns(table, patterns, 3)

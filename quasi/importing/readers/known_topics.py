@@ -13,6 +13,7 @@ from typing import Any
 
 from quasi.errors import ConfigError, ReadError, nearest
 from quasi.importing.readers.signals import Topic
+from quasi.importing.readers.table_mapping import EULER_ANGLES, QUATERNION, VECTOR_COLUMNS
 
 MOTORS = 8
 INSTANCE = r"(:\d+)?"  # at the end of a topic that a log holds several times
@@ -68,8 +69,7 @@ class Known:
         """{quantity: (full column name, unit)} of what the topic holds."""
         held = set(topic.columns)
         found = {q: (f"{name}.{f}", unit) for q, (f, unit) in self.columns.items() if f"{name}.{f}" in held}
-        for whole in (("p", "q", "r"), ("ax", "ay", "az"), ("x", "y", "z"), ("vx", "vy", "vz"),
-                      ("qw", "qx", "qy", "qz"), ("roll", "pitch", "yaw")):  # fmt: skip
+        for whole in (*VECTOR_COLUMNS.values(), QUATERNION, EULER_ANGLES):
             if not all(q in found for q in whole if q in self.columns):
                 found = {q: about for q, about in found.items() if q not in whole}
         return found

@@ -16,8 +16,15 @@ import numpy as np
 import pandas as pd
 from scipy.spatial.transform import Rotation
 
-from quasi.errors import ReadError, add_caution, nearest
-from quasi.importing.readers.captured_body import LARGEST, LENGTHS, Body, capture_reader, captured_recording
+from quasi.errors import ReadError, add_caution
+from quasi.importing.readers.captured_body import (
+    LARGEST,
+    LENGTHS,
+    Body,
+    capture_reader,
+    captured_recording,
+    choose_body,
+)
 from quasi.importing.readers.reader import TEXT
 from quasi.importing.readers.table_text import SEPARATORS, decimal_points, from_header, through_a_spreadsheet
 from quasi.importing.series import Recording
@@ -89,10 +96,6 @@ def read_motive(
     return captured_recording(path, body, marker_offset, remove_outliers, notes)
 
 
-def _plain(name: str) -> str:
-    return " ".join(name.replace("_", " ").lower().split())
-
-
 def _read_header(text: str, path: Path, rigid_body: str | None) -> _Header:
     """Find the header rows by what they hold."""
     lines = text.split("\n", 40)[:40]
@@ -131,17 +134,7 @@ def _read_header(text: str, path: Path, rigid_body: str | None) -> _Header:
             axis = axes[column].lower() if column < len(axes) else ""
             blocks.setdefault(names[column], {}).setdefault((quantities[column].lower(), axis), column)
     bodies = list(blocks)
-    chosen = rigid_body if rigid_body in blocks else None
-    if rigid_body is None and bodies:
-        if len(bodies) > 1:
-            raise ReadError(f"{path} holds the rigid bodies {', '.join(bodies)}; name the vehicle's")
-        chosen = bodies[0]
-    if chosen is None:
-        alike = [b for b in bodies if _plain(b) == _plain(rigid_body or "")]
-        chosen = alike[0] if len(alike) == 1 else None
-    if chosen is None:
-        what = f"no rigid body '{rigid_body}'{nearest(rigid_body, bodies)}" if bodies else "no rigid body at all"
-        raise ReadError(f"{path} holds {what}; correct 'Rigid Body Name' in the logbook, or export it from Motive")
+    chosen = choose_body(bodies, rigid_body, path)
     columns = blocks[chosen]
     missing = [axis for axis in "xyz" if ("position", axis) not in columns]
     if missing:

@@ -67,7 +67,9 @@ def make_control_model(model: Model, actuators: Mapping[str, Any] | None = None)
             f"model {name}: rotor speeds from {lowest:.0f} to {highest:.0f} rad/s leave no room about its hover speed "
             f"{hover:.0f} rad/s; correct 'idle RPM', 'max RPM' and 'motor poles' of the quadrotor configuration"
         )
-    lag = float(np.mean(_read_times(given.get("time constants", _read_lags(model)), f"model {name}, 'time constants'")))
+    own = (drive_of(model.document).get("time constants") or {}).get("value")
+    own = DEFAULT_LAG if own is None else own
+    lag = float(np.mean(_read_times(given.get("time constants", own), f"model {name}, 'time constants'")))
     delay = float(given.get("delay", 0.0))
     if not (np.isfinite(delay) and delay >= 0.0):
         raise ConfigError(f"model {name}: the actuators' 'delay' is {delay:g}, expected 0 s or more")
@@ -129,11 +131,6 @@ def _check_steering(vehicle: ControlModel) -> None:
             f"model {vehicle.name}: the four rotors cannot set Mx, My, Mz and Fz independently about hover; "
             "check 'rotor config' and the rotors' spins"
         )
-
-
-def _read_lags(model: Model) -> Any:
-    constants = (drive_of(model.document).get("time constants") or {}).get("value")
-    return DEFAULT_LAG if constants is None else constants
 
 
 def _read_times(value: Any, where: str) -> np.ndarray:

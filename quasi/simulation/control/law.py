@@ -37,7 +37,7 @@ class Law(NamedTuple):
     """One compiled controller, as `registry.LAWS` lists it.
 
     name           in configurations, also after "drone_"
-    gains          {block: keys} of `gains.GAIN_BLOCKS` that it has beyond the time constants of all
+    gains          {block: keys} of the gains that it has beyond the time constants of all
     memory         what it carries from step to step: (first entry, count, whether squared rotor speeds)
     integral       default integral time of the velocity over its time constant
     learns_limits  default of 'learn rotor limits'

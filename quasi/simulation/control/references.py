@@ -8,7 +8,7 @@ it by the polynomial of fifth degree that begins and ends without velocity and a
 """
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -17,6 +17,7 @@ from scipy.interpolate import CubicSpline
 
 from quasi.errors import ConfigError, DataError, nearest
 from quasi.model.document import is_number
+from quasi.project import configuration
 from quasi.simulation.control.outer_loop import (
     ATTITUDE_SETPOINT,
     POSITION_SETPOINT,
@@ -41,64 +42,10 @@ SETPOINT_KINDS = {
     "attitude": (ATTITUDE_SETPOINT, SETPOINT_ANGLES, ("roll", "pitch", "yaw")),
     "rates": (RATES_SETPOINT, SETPOINT_RATES, ("p", "q", "r")),
 }
-# the manual's two built-in references (section 7.1, figure 24a), with the numbers of QuaSI at the manual's date
 ALONG_PATH = "along path"  # heading of a circle whose nose points along the velocity
-_MANUAL_TRACK = [[0.0, 0.0, 0.0, 0.0], [2.0, 0.0, 0.0, -1.0], [6.0, 4.0, -2.0, -1.0]]
+# the manual's two built-in references (section 7.1, figure 24a); their numbers are the defaults of the schema
 _FLAGS = {"do position track": "position steps", "do circle track": "circle"}
 
-Check = Callable[[Any], bool]
-
-
-def _is_place(value: Any) -> bool:
-    return isinstance(value, list | tuple) and len(value) == 3 and all(map(is_number, value))
-
-
-_NUMBER_CHECK: tuple[Check, str] = (is_number, "a number")
-_PLACE_CHECK: tuple[Check, str] = (_is_place, "three numbers, m, earth axes (z down)")
-_TIME_CHECK: tuple[Check, str] = (lambda v: is_number(v) and v >= 0.0, "seconds, 0 or more")
-_POSITIVE_CHECK: tuple[Check, str] = (lambda v: is_number(v) and v > 0.0, "a positive number")
-_ANGULAR_SPEED_CHECK: tuple[Check, str] = (lambda v: is_number(v) and v != 0.0, "rad/s, not 0")
-_HEADING_CHECK: tuple[Check, str] = (lambda v: v == ALONG_PATH or is_number(v), f"rad, or '{ALONG_PATH}'")
-_CENTRE_CHECK: tuple[Check, str] = (
-    lambda v: isinstance(v, list | tuple) and len(v) == 2 and all(map(is_number, v)),
-    "two numbers, m, north and east",
-)
-_ROWS_CHECK: tuple[Check, str] = (lambda v: isinstance(v, list | tuple) and len(v) > 0, "a list of rows")
-# kind: {setting: (default, check, what is expected)}
-REFERENCE_KINDS: dict[str, dict[str, tuple[Any, Check, str]]] = {
-    "hover": {"position": ([0.0, 0.0, 0.0], *_PLACE_CHECK), "yaw": (0.0, *_NUMBER_CHECK)},
-    "position steps": {"steps": (_MANUAL_TRACK, *_ROWS_CHECK), "transition": (0.0, *_TIME_CHECK)},
-    "velocity steps": {"steps": ([[0.0, 0.0, 0.0, 0.0]], *_ROWS_CHECK)},
-    "attitude steps": {"steps": ([[0.0, 0.0, 0.0, 0.0]], *_ROWS_CHECK)},
-    "rate steps": {"steps": ([[0.0, 0.0, 0.0, 0.0]], *_ROWS_CHECK)},
-    # 4 m and 1 rad/s from 3 s on: the manual's circle; its height is that of the figure eight
-    "circle": {
-        "radius": (4.0, *_POSITIVE_CHECK),
-        "rate": (1.0, *_ANGULAR_SPEED_CHECK),
-        "height": (2.0, *_NUMBER_CHECK),
-        "heading": (0.0, *_HEADING_CHECK),
-        "centre": ([0.0, 0.0], *_CENTRE_CHECK),
-        "start": (3.0, *_TIME_CHECK),
-        "transition": (2.0, *_TIME_CHECK),
-        "hold": ([0.0, 0.0, 0.0], *_PLACE_CHECK),
-    },
-    "figure eight": {
-        "amplitude": (3.0, *_NUMBER_CHECK),
-        "angular speed": (1.0, *_ANGULAR_SPEED_CHECK),
-        "centre": ([0.0, 0.0, -2.0], *_PLACE_CHECK),
-        "start": (3.0, *_TIME_CHECK),
-        "transition": (2.0, *_TIME_CHECK),
-        "hold": ([0.0, 0.0, 0.0], *_PLACE_CHECK),
-        "yaw": (0.0, *_NUMBER_CHECK),
-        "yaw rate": (0.0, *_NUMBER_CHECK),
-    },
-    "table": {
-        "goal": ("position", lambda v: v in SETPOINT_KINDS, f"one of {', '.join(SETPOINT_KINDS)}"),
-        "interpolation": ("smooth", lambda v: v in ("smooth", "steps"), "'smooth' or 'steps'"),
-        "end": ("hold", lambda v: v in ("hold", "repeat"), "'hold' or 'repeat'"),
-        "file": (None, lambda v: isinstance(v, str), "a path"),
-    },
-}
 _SETPOINTS_OF_STEPS = {"position steps": "position", "velocity steps": "velocity", "attitude steps": "attitude",
                "rate steps": "rates"}  # fmt: skip
 # meaning of the optional fifth number of a step
@@ -111,8 +58,8 @@ def make_reference(
 ) -> tuple[int, np.ndarray, np.ndarray]:
     """Kind, parameters and table (T, 20) for `evaluate_reference`.
 
-    settings  "kind" and its settings, see REFERENCE_KINDS; or the manual's "do position track", "do circle track";
-    none: hover
+    settings  "kind" and its settings, see "$defs" in the schema of simulations; or the manual's "do position track",
+              "do circle track"; none: hover
     table     for the kind "table": columns t (s) and x y z, vx vy vz, roll pitch yaw or p q r (each SI, earth axes
               down); optional: velocities with positions, ax ay az, yaw, yaw_rate, thrust
     Raises ConfigError naming the setting, DataError for a table that cannot be followed.
@@ -145,15 +92,10 @@ def _choose_kind(settings: dict[str, Any]) -> tuple[str, dict[str, Any]]:
             "others off"
         )
     kind = named if named is not None else (wanted or ["hover"])[0]
-    if kind not in REFERENCE_KINDS:
-        raise ConfigError(f"references: 'kind' is {kind!r}, which is not known{nearest(str(kind), REFERENCE_KINDS)}")
-    known = REFERENCE_KINDS[kind]
-    for key, value in settings.items():
-        if key not in known:
-            raise ConfigError(f"reference '{kind}': unknown key '{key}'{nearest(key, known)}")
-        if not known[key][1](value):
-            raise ConfigError(f"reference '{kind}': '{key}' is {value!r}, expected {known[key][2]}")
-    return kind, {key: settings.get(key, about[0]) for key, about in known.items()}
+    kinds = configuration.schema("simulation")["$defs"]
+    if kind not in kinds:
+        raise ConfigError(f"references: 'kind' is {kind!r}, which is not known{nearest(str(kind), kinds)}")
+    return kind, configuration.check(settings, "simulation", f"reference '{kind}'", "$defs", kind)[0]
 
 
 def _circle_parameters(chosen: Mapping[str, Any]) -> np.ndarray:

@@ -18,16 +18,6 @@ from quasi.errors import DataError
 from quasi.simulation.loop.closed_loop import (
     EXTERNAL_REFERENCE,
     FULL_LOG_SIZE,
-    LOG_COMMANDS,
-    LOG_LOADS,
-    LOG_MEASUREMENT,
-    LOG_ROTOR_ACCELERATIONS,
-    LOG_ROTOR_SPEEDS,
-    LOG_SETPOINT,
-    LOG_STATE,
-    LOG_TIME,
-    LOG_VOLTAGE,
-    LOG_WIND,
     SETPOINT_SIZE,
     STATUS_FINE,
     STATUS_NO_COMMAND,
@@ -35,6 +25,7 @@ from quasi.simulation.loop.closed_loop import (
     check_state,
     controller_step,
     evaluate_reference,
+    log_row,
     measure,
     update_environment,
 )
@@ -47,7 +38,6 @@ from quasi.simulation.vehicle.dynamics import (
     equations_of_motion,
     integrate_step,
     make_scratch,
-    rotor_acceleration,
 )
 from quasi.simulation.vehicle.layout import (
     GIVEN_ACCELERATION,
@@ -192,14 +182,15 @@ class QuadrotorSimulator(Simulator):
 
     # physics and log of a step
 
-    def _evaluate_physics(self, bus: Bus) -> None:
+    def _evaluate_inputs(self, bus: Bus) -> None:
+        super()._evaluate_inputs(bus)
         if self.steps["actuator"] is not self._built_in["actuator"]:
-            k, state, dt = bus.step, bus.loop_state, self.setup.loop_parameters.dt
-            if self.steps["actuator"] is None:
-                bus.inputs[k + 1] = bus.commanded_inputs[k + 1]
-            state.step_inputs[GIVEN_ACCELERATION : GIVEN_ACCELERATION + 4] = (
-                bus.inputs[k + 1] - bus.state[k, ROTOR_SPEEDS:STATE_SIZE]
-            ) / dt
+            change = bus.inputs[bus.step + 1] - bus.state[bus.step, ROTOR_SPEEDS:STATE_SIZE]
+            bus.loop_state.step_inputs[GIVEN_ACCELERATION : GIVEN_ACCELERATION + 4] = (
+                change / self.setup.loop_parameters.dt
+            )
+
+    def _evaluate_physics(self, bus: Bus) -> None:
         if not self._uses_compiled_physics():
             super()._evaluate_physics(bus)
 
@@ -244,26 +235,14 @@ class QuadrotorSimulator(Simulator):
         k, state, body = bus.step, bus.loop_state, self.setup.loop_parameters.body
         if k % self.setup.every:
             return
-        row = np.zeros(FULL_LOG_SIZE + self.setup.extra_states)
-        x = bus.state[k]
-        row[LOG_TIME] = bus.time[k]
-        row[LOG_STATE : LOG_STATE + STATE_SIZE], row[FULL_LOG_SIZE:] = x[:STATE_SIZE], x[STATE_SIZE:]
-        row[LOG_SETPOINT : LOG_SETPOINT + SETPOINT_SIZE], row[LOG_MEASUREMENT : LOG_MEASUREMENT + 20] = (
-            bus.reference[k],
-            bus.measured_state[k],
-        )
-        row[LOG_COMMANDS : LOG_COMMANDS + 4] = bus.commanded_inputs[k + 1]
-        row[LOG_LOADS : LOG_LOADS + 3], row[LOG_LOADS + 3 : LOG_LOADS + 6] = bus.forces[k + 1], bus.moments[k + 1]
-        row[LOG_WIND : LOG_WIND + 3], row[LOG_VOLTAGE] = state.air, state.voltage[0]
-        for i in range(4):
-            cap = state.step_inputs[SPEED_CAP + i]
-            row[LOG_ROTOR_SPEEDS + i] = min(x[ROTOR_SPEEDS + i], cap)
-            row[LOG_ROTOR_ACCELERATIONS + i] = (
-                rotor_acceleration(i, x[ROTOR_SPEEDS + i], state.step_inputs, body)
-                if x[ROTOR_SPEEDS + i] <= cap
-                else 0.0
-            )
-        self._log.append(row)
+        row, x = np.zeros((1, FULL_LOG_SIZE + self.setup.extra_states)), bus.state[k]
+        loads = np.concatenate([bus.forces[k + 1], bus.moments[k + 1]])
+        speeds = np.minimum(x[ROTOR_SPEEDS:STATE_SIZE], state.step_inputs[SPEED_CAP : SPEED_CAP + 4])
+        log_row(
+            bus.time[k], body, x, state.step_inputs, bus.reference[k], bus.commanded_inputs[k + 1], loads, state.air,
+            state.voltage, speeds, bus.measured_state[k], row, 0,
+        )  # fmt: skip
+        self._log.append(row[0])
 
     def _check_state(self, bus: Bus) -> None:
         self.status = int(check_state(bus.state[bus.step + 1], self.setup.loop_parameters.limits))
@@ -299,17 +278,7 @@ class QuadrotorSimulator(Simulator):
     def _log_last_instant(self, bus: Bus) -> None:
         """Log measurement, command and loads at the end, without a further step."""
         k = bus.step
-        self.steps["begin"](bus)
-        self._run_added_steps("begin", bus)
-        for name, to in (("controller", bus.commanded_inputs), ("actuator", bus.inputs)):
-            step = self.steps[name]
-            to[k + 1] = step(bus) if step is not None else bus.commanded_inputs[k + (name == "actuator")]
-            self._run_added_steps(name, bus)
-        if self.steps["actuator"] is not self._built_in["actuator"]:
-            change = bus.inputs[k + 1] - bus.state[k, ROTOR_SPEEDS:STATE_SIZE]
-            bus.loop_state.step_inputs[GIVEN_ACCELERATION : GIVEN_ACCELERATION + 4] = (
-                change / self.setup.loop_parameters.dt
-            )
+        self._evaluate_inputs(bus)
         if self.steps["forces_and_moments"] is not None:
             bus.forces[k + 1], bus.moments[k + 1] = self._evaluate_loads(bus)
         self._write_log(bus)

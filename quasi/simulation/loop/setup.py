@@ -21,8 +21,8 @@ from quasi import attitude
 from quasi.airframe import Airframe
 from quasi.attitude import GRAVITY
 from quasi.errors import ConfigError, DataError
-from quasi.model.extensions import DEFAULT_LAG, drive_of, read_rotor_constants, read_speed_limits, wind_of
-from quasi.model.hover import find_hover_speed
+from quasi.model.extensions import actuators_of, read_rotor_constants, read_speed_limits, wind_of
+from quasi.model.hover import check_flyable, find_hover_speed, find_training_median
 from quasi.model.model import Model
 from quasi.project import configuration
 from quasi.simulation.control.controllers import make_controller
@@ -142,12 +142,8 @@ def make_setup(
     reference = read_table(settings, "references", directory, name) if reference is None else reference
     asked = settings["model"]
     model = apply_extensions(model) if asked["use identified model"] else make_simple_model(model)
-    if len(model.axes) < 6:
-        lacking = [a for a in ("Fx", "Fy", "Fz", "Mx", "My", "Mz") if a not in model.axes]
-        raise DataError(f"model {model.id} lacks {', '.join(lacking)}; a simulation needs all six axes")
+    check_flyable(model, "a simulation")
     airframe = model.airframe
-    if airframe.mass is None:
-        raise DataError(f"model {model.id} has no mass; fill in 'Mass' in the logbook and build it again")
     dt, substeps = float(settings["simulation"]["time step"]), int(settings["simulation"]["substeps"])
     steps = round(settings["simulation"]["duration"] / dt)
     if steps < 1:
@@ -284,43 +280,17 @@ def compute_asymmetry(
 def _make_actuator(
     asked: Mapping[str, Any], model: Model, notes: list[str], name: str
 ) -> tuple[ActuatorLimits, np.ndarray, np.ndarray, float]:
-    kind, airframe = asked["actuator"], model.airframe
-    known = drive_of(model.document)
-
-    def of_model(*keys: str) -> Any:
-        for key in keys:
-            about = known.get(key) or {}
-            try:
-                value = about.get("value")
-                if value is None:
-                    continue
-                # an identified delay may be slightly negative
-                least = np.min(np.broadcast_to(np.asarray(value, float), 4))
-                if least > 0.0 or (key == "delay" and np.isfinite(least)):
-                    return value
-            except (AttributeError, TypeError, ValueError):
-                pass
-            raise DataError(
-                f"model {model.id}: 'actuators' / '{key}' is {about!r:.60}, expected seconds under 'value'; "
-                "build the model again"
-            )
-        return None
-
+    kind, airframe, known = asked["actuator"], model.airframe, actuators_of(model)
+    first, second = asked["time constants"], asked["time constants down"]
     up = down = np.zeros(4)
-    if kind != "rotorDynamicsV2" and not (asked["time constants"] is None and asked["time constants down"] is None):
-        notes.append(f"'actuator' / 'time constants' is not used: '{kind}' has no lag")
     if kind == "rotorDynamicsV2":
-        first = asked["time constants"]
         if first is None:
-            first = of_model("time constants up", "time constants")
-            if first is None:
-                first = DEFAULT_LAG
-                notes.append(f"the model has no time constants of the rotors; {DEFAULT_LAG:.4f} s is used")
-        second = asked["time constants down"]
-        if second is None:
-            second = of_model("time constants down") if asked["time constants"] is None else None
-        up = np.broadcast_to(np.asarray(first, float), 4).copy()
-        down = up.copy() if second is None else np.broadcast_to(np.asarray(second, float), 4).copy()
+            notes += [note for note in known.notes if "time constants" in note]
+        up = known.up if first is None else np.broadcast_to(np.asarray(first, float), 4).copy()
+        down = known.down if first is None else up.copy()
+        down = down if second is None else np.broadcast_to(np.asarray(second, float), 4).copy()
+    elif first is not None or second is not None:
+        notes.append(f"'actuator' / 'time constants' is not used: '{kind}' has no lag")
     factor = airframe.logged_to_rad_s or model.document.get("logged to rad/s")
     rate = asked["rate limit"]
     if rate is None and kind == "rotorDynamicsV1":
@@ -344,8 +314,7 @@ def _make_actuator(
         )
     late = asked["delay"]
     if late is None:
-        late = of_model("delay")
-        late = 0.0 if late is None or kind == "none" else max(float(np.mean(late)), 0.0)
+        late = 0.0 if kind == "none" else known.delay
     return ActuatorLimits(bounds[0], bounds[1], float(late)), up, down, math.inf if rate is None else float(rate)
 
 
@@ -363,8 +332,7 @@ def _make_battery(
     place, clock = (extras.index(n) if n in extras else -1 for n in ("battery_voltage", "t"))
     start = asked["voltage"]
     if start is None and place >= 0:
-        covered = (model.document.get("envelope") or {}).get("battery_voltage", {})
-        start = covered.get("percentiles", {}).get("50")
+        start = find_training_median(model, "battery_voltage")
         if start is None:
             raise ConfigError(f"{name}: model {model.id} has terms in the battery voltage; give 'battery' / 'voltage'")
         notes.append(f"the battery begins at {start:.2f} V, the median of the model's training flights")

@@ -23,6 +23,7 @@ import numpy as np
 from quasi.errors import ConfigError, DataError, ShapeError, nearest
 
 STEP_ORDER = ("begin", "controller", "actuator", "forces_and_moments", "equations_of_motion", "integrator")
+_METHODS = ("euler", "rk4", "RK23", "RK45", "DOP853", "Radau", "BDF", "LSODA")  # the latter of scipy's solve_ivp
 _MAX_STATE = 1e12  # in any unit; a larger state has diverged
 _ADDED_ROWS = 1024  # rows added at a time to a simulation without an end
 Step = Callable[["Bus"], Any]
@@ -113,11 +114,8 @@ class Simulator:
             "integrator": integrator if callable(integrator) else self._integrate,
         }
         self._method = integrator if isinstance(integrator, str) else "own"
-        if self._method not in ("euler", "rk4", "own", *_list_adaptive_methods()):
-            raise ConfigError(
-                f"integrator '{self._method}' is not known"
-                f"{nearest(self._method, ('euler', 'rk4', *_list_adaptive_methods()))}"
-            )
+        if self._method not in (*_METHODS, "own"):
+            raise ConfigError(f"integrator '{self._method}' is not known{nearest(self._method, _METHODS)}")
         self._built_in: dict[str, Step | None] = built_in
         self.steps: dict[str, Step | None] = dict(built_in)
         self._added_steps: dict[str, list[Step]] = {name: [] for name in STEP_ORDER}
@@ -220,7 +218,21 @@ class Simulator:
         k = bus.step
         if k + 2 > len(bus.time) - 1:
             self._add_rows(bus)
-        steps = self.steps
+        self._evaluate_inputs(bus)
+        self._evaluate_physics(bus)
+        self._run_added_steps("equations_of_motion", bus)
+        bus.state[k + 1] = self._next_state(bus)
+        if self._quaternion is not None:
+            part = slice(self._quaternion, self._quaternion + 4)
+            bus.quaternion[k] = bus.state[k, part]
+            bus.quaternion[k + 1] = bus.state[k + 1, part]
+        self._run_added_steps("integrator", bus)
+        self._check_state(bus)
+        bus.step = k + 1
+
+    def _evaluate_inputs(self, bus: Bus) -> None:
+        """Evaluate the steps before the physics: begin, controller, actuator."""
+        k, steps = bus.step, self.steps
         if steps["begin"] is not None:
             steps["begin"](bus)
         self._run_added_steps("begin", bus)
@@ -235,16 +247,6 @@ class Simulator:
         else:
             bus.inputs[k + 1] = bus.commanded_inputs[k + 1]
         self._run_added_steps("actuator", bus)
-        self._evaluate_physics(bus)
-        self._run_added_steps("equations_of_motion", bus)
-        bus.state[k + 1] = self._next_state(bus)
-        if self._quaternion is not None:
-            part = slice(self._quaternion, self._quaternion + 4)
-            bus.quaternion[k] = bus.state[k, part]
-            bus.quaternion[k + 1] = bus.state[k + 1, part]
-        self._run_added_steps("integrator", bus)
-        self._check_state(bus)
-        bus.step = k + 1
 
     def _evaluate_physics(self, bus: Bus) -> None:
         """Evaluate forces, moments and the state derivative at the beginning of the step, for the log."""
@@ -403,7 +405,3 @@ def make_signal_columns(name: str, values: list[Any]) -> dict[str, np.ndarray]:
     if array.ndim <= 1:
         return {name: array} if len(array) else {}
     return {f"{name}_{k + 1}": array[:, k] for k in range(array.shape[1])}
-
-
-def _list_adaptive_methods() -> tuple[str, ...]:
-    return ("RK23", "RK45", "DOP853", "Radau", "BDF", "LSODA")

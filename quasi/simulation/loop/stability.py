@@ -8,7 +8,13 @@ from typing import Any
 import numpy as np
 
 from quasi.errors import ConfigError
-from quasi.simulation.vehicle.dynamics import INTEGRATORS, append_extra_states, make_scratch, state_derivative
+from quasi.simulation.vehicle.dynamics import (
+    INTEGRATORS,
+    append_extra_states,
+    compute_loads,
+    equations_of_motion,
+    make_scratch,
+)
 from quasi.simulation.vehicle.layout import (
     EXTRA_STATES,
     GIVEN_ACCELERATION,
@@ -35,7 +41,8 @@ def linearise_state(body: np.ndarray, kernel: Any, step_inputs: np.ndarray, x: n
         for sign in (1.0, -1.0):
             y = x.copy()
             y[k] += sign * step
-            state_derivative(y, at, kernel, body, scratch.inputs, scratch.work, scratch.loads, scratch.derivatives)
+            compute_loads(y, at, kernel, body, scratch.inputs, scratch.work, scratch.loads)
+            equations_of_motion(y, scratch.loads, at, body, scratch.derivatives, 0)
             both.append(scratch.derivatives[0].copy())
         result[:, k] = (both[0] - both[1]) / (2.0 * step)
     return result

@@ -96,11 +96,11 @@ def _make_setup(asked: dict[str, Any], directory: Path) -> Setup:
 
 def _open_window(
     setup: Setup, name: str, text: str, opened: ExitStack, path: Any = None
-) -> tuple[Window, fly.Keys | None]:
+) -> tuple[Window, Terminal | None]:
     """Open a window, and the keys of the terminal where one exists."""
     window = Window(setup.airframe, name, text, path=path)
     opened.callback(window.close)
-    keys: fly.Keys | None = None
+    keys: Terminal | None = None
     try:
         keys = opened.enter_context(Terminal())
     except ConfigError:

@@ -2,19 +2,23 @@
 
 w s a d: forward, backward, left, right relative to the heading; up down (or i k): height; left right (or j l): heading;
 m: velocity or attitude setpoint; space: stop; r: restart; q: end. Closing the window ends the flight as well.
-Three small interfaces describe the simulation, the keys and the window, so that each can be replaced.
 """
 
 import math
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Protocol
+from typing import TYPE_CHECKING
 
 import numpy as np
 
+from quasi.attitude import to_euler
 from quasi.simulation.control.outer_loop import ATTITUDE_SETPOINT, SETPOINT_SIZE, VELOCITY_SETPOINT
-from quasi.simulation.tools.keyboard import HeldKeys
+from quasi.simulation.loop.run import Session
+from quasi.simulation.tools.keyboard import HeldKeys, Terminal
+
+if TYPE_CHECKING:
+    from quasi.simulation.tools.window import Window
 
 MAX_SIMULATED_TIME = (
     0.1  # s of simulation between two pictures at most; a slow computer then simulates slower than real time
@@ -110,51 +114,10 @@ class Pace:
         return steps
 
 
-class Flight(Protocol):
-    """The simulation that a live view shows."""
-
-    dt: float  # s
-    t: float  # s
-    duration: float  # s, of a flight that follows a reference
-    weight: float  # N
-
-    def state(self) -> np.ndarray:
-        """(17,) attitude w x y z, u v w, p q r, x y z, rotor speeds."""
-
-    def setpoint(self) -> np.ndarray:
-        """(20,) present setpoint of the reference, see `outer_loop`."""
-
-    def advance(self, setpoint: np.ndarray | None, steps: int) -> str | None:
-        """Run this many steps; return a sentence when the simulation ends early."""
-
-    def restart(self) -> None:
-        """Restart the simulation."""
-
-
-class Keys(Protocol):
-    """A source of keys."""
-
-    def read(self) -> list[str]:
-        """Return the keys pressed since the last call."""
-
-
-class View(Protocol):
-    """A live view of the flight; its window may report keys too."""
-
-    def is_open(self) -> bool:
-        """Whether the flight continues."""
-
-    def poll(self, held_keys: HeldKeys, now: float) -> list[str]:
-        """Process window events: register held keys in `held_keys`, return pressed keys."""
-
-    def show(self, t: float, state: np.ndarray, text: str, target: np.ndarray | None = None) -> None:
-        """Draw the drone, and a mark at the target (3,), m, earth NED."""
-
-
 def fly_manually(
-    flight: Flight,
-    view: View,
-    keys: Keys | None = None,
+    flight: Session,
+    view: "Window",
+    keys: Terminal | None = None,
     clock: Callable[[], float] = time.perf_counter,
     wait: Callable[[float], None] = time.sleep,
 ) -> str:
@@ -162,7 +125,7 @@ def fly_manually(
 
     keys  of a terminal, None for those of the window only; clock s; wait  waits s
     """
-    held_keys, pilot = HeldKeys(), Pilot(flight.weight, _yaw(flight.state()))
+    held_keys, pilot = HeldKeys(), Pilot(flight.weight, to_euler(flight.state()[:4])[2])
     pace, ended = Pace(flight.dt, clock()), None
     farthest = fastest = 0.0
     start = flight.state()[10:13].copy()
@@ -182,7 +145,7 @@ def fly_manually(
             elif key == "r":
                 flight.restart()
                 held_keys.clear()
-                pilot, ended = Pilot(flight.weight, _yaw(flight.state())), None
+                pilot, ended = Pilot(flight.weight, to_euler(flight.state()[:4])[2]), None
         steps = pace.count_due_steps(now)
         if steps and ended is None:
             ended = flight.advance(pilot.setpoint(held_keys.list_held_keys(now), steps * flight.dt), steps)
@@ -202,8 +165,3 @@ def describe_flight(state: np.ndarray, pilot: Pilot, pace: Pace, ended: str | No
     mode = "velocity" if pilot.kind == VELOCITY_SETPOINT else "attitude"
     text = f"{mode}   {np.linalg.norm(state[4:7]):.1f} m/s   height {-state[12]:.1f} m"
     return text if pace.speed_ratio > 0.95 else f"{text}   {pace.speed_ratio:.1f} x real time"
-
-
-def _yaw(state: np.ndarray) -> float:
-    w, x, y, z = state[:4]
-    return math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))

@@ -6,21 +6,26 @@ simulation ends early, the last picture stays visible.
 
 import time
 from collections.abc import Callable
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from quasi.simulation.control.outer_loop import POSITION_SETPOINT
-from quasi.simulation.tools.keyboard import HeldKeys
-from quasi.simulation.tools.manual_flight import MAX_PICTURE_RATE, Flight, Keys, Pace, View
+from quasi.simulation.loop.run import Session
+from quasi.simulation.tools.keyboard import HeldKeys, Terminal
+from quasi.simulation.tools.manual_flight import MAX_PICTURE_RATE, Pace
+
+if TYPE_CHECKING:
+    from quasi.simulation.tools.window import Window
 
 REFERENCE_HELP = "space pauses, r starts again, q ends"
 MAX_REFERENCE_POINTS = 2000  # of a reference's path; more are not visible
 
 
 def show_reference_flight(
-    flight: Flight,
-    view: View,
-    keys: Keys | None = None,
+    flight: Session,
+    view: "Window",
+    keys: Terminal | None = None,
     clock: Callable[[], float] = time.perf_counter,
     wait: Callable[[float], None] = time.sleep,
 ) -> str:
@@ -45,7 +50,9 @@ def show_reference_flight(
         steps = min(pace.count_due_steps(now), left)
         if steps > 0 and ended is None and not paused:
             ended = flight.advance(None, steps)
-        target = _target(flight.setpoint()) if flight.t > 0.0 else None
+        setpoint, target = flight.setpoint(), None
+        if flight.t > 0.0 and setpoint[0] == POSITION_SETPOINT:
+            target = setpoint[1:4]
         error = None if target is None else float(np.linalg.norm(flight.state()[10:13] - target))
         if error is not None and steps > 0 and not paused:
             errors.append(error)
@@ -57,11 +64,7 @@ def show_reference_flight(
     return f"{text}; {ended}" if ended else text
 
 
-def _target(setpoint: np.ndarray) -> np.ndarray | None:
-    return setpoint[1:4].copy() if setpoint[0] == POSITION_SETPOINT else None
-
-
-def describe_flight(flight: Flight, pace: Pace, ended: str | None, paused: bool, error: float | None) -> str:
+def describe_flight(flight: Session, pace: Pace, ended: str | None, paused: bool, error: float | None) -> str:
     """Describe the flight for the view: speed, height, position error, and exceptions."""
     if ended is not None:
         return f"{ended}; r starts again"

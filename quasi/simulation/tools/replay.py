@@ -9,14 +9,15 @@ import math
 import os
 from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
 
 from quasi.attitude import GRAVITY, from_euler, to_euler
 from quasi.errors import DataError, ShapeError
-from quasi.model.extensions import DEFAULT_LAG, drive_of, read_rotor_constants, read_speed_limits, wind_of
+from quasi.model.extensions import actuators_of, read_rotor_constants, wind_of
+from quasi.model.hover import check_flyable
 from quasi.model.model import Model
 from quasi.simulation.vehicle.dynamics import (
     RK4,
@@ -178,11 +179,7 @@ def replay(
     model = apply_extensions(model)
     parts, recorded, blows = read_payload_and_inflow(model), read_rotor_constants(model), wind_of(model)
     model = drop_quasi_steady_terms(model)
-    if len(model.axes) < 6:
-        lacking = [a for a in ("Fx", "Fy", "Fz", "Mx", "My", "Mz") if a not in model.axes]
-        raise DataError(f"model {model.id} lacks {', '.join(lacking)}; a roll-out needs all six axes")
-    if model.airframe.mass is None:
-        raise DataError(f"model {model.id} has no mass; fill in 'Mass' in the logbook and build it again")
+    check_flyable(model, "a roll-out")
     t, states = np.ascontiguousarray(t, float), np.ascontiguousarray(states, float)
     starts = np.asarray(starts, np.int64)
     n, count = len(t), len(starts)
@@ -251,19 +248,7 @@ def to_euler_states(x: np.ndarray) -> np.ndarray:
 
 def read_actuator_dynamics(model: Model) -> ActuatorDynamics:
     """Read lag and delay of the rotors from a model, and their speed limits from the airframe."""
-    known = drive_of(model.document)
-
-    def value(*keys: str) -> Any:
-        return next((known[k]["value"] for k in keys if (known.get(k) or {}).get("value") is not None), None)
-
-    up, down = (value(f"time constants {way}", "time constants") for way in ("up", "down"))
-    low, high = read_speed_limits(model)
-    low, high = 0.0 if low is None else low, math.inf if high is None else high
-    late = value("delay")
-    late = 0.0 if late is None else max(float(np.mean(late)), 0.0)
-    return ActuatorDynamics(
-        *(np.array(DEFAULT_LAG if tau is None else tau, float) for tau in (up, down)), late, low, high
-    )
+    return ActuatorDynamics(*actuators_of(model)[:5])
 
 
 def count_steps(t: np.ndarray, horizon: float) -> int:

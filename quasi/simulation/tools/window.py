@@ -27,7 +27,7 @@ _TOOLKITS = ("qtagg", "tkagg", "gtk4agg", "gtk3agg", "wxagg", "macosx")
 
 
 class Window:
-    """A live view; see `manual_flight.View`. scale  enlargement of the drone.
+    """A live view. scale  enlargement of the drone.
 
     path  (M, 3) m, earth NED, of a reference, drawn dashed; the box contains it up to MAX_BOX_HALF_SIDE m
     Raises ConfigError where no window can be opened.

@@ -220,13 +220,6 @@ def equations_of_motion(x, loads, step_inputs, body, derivatives, row):
         differentiate_payload_and_inflow(x, loads, step_inputs, body, derivatives, row)
 
 
-@njit(cache=True, error_model="numpy")
-def state_derivative(x, step_inputs, kernel, body, inputs, work, loads, derivatives):
-    """State derivative into slopes[0] (17,), forces and moments into loads (6,)."""
-    compute_loads(x, step_inputs, kernel, body, inputs, work, loads)
-    equations_of_motion(x, loads, step_inputs, body, derivatives, 0)
-
-
 @njit(cache=True, error_model="numpy", inline="always")
 def normalise_quaternion(x):
     """Scale the quaternion of a state to unit length."""
