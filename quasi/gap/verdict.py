@@ -15,7 +15,7 @@ import numpy as np
 from quasi.gap.catalogue import whole_of
 from quasi.gap.effect import Effect
 from quasi.gap.entries import needed
-from quasi.gap.flights.covariates import EVERYWHERE, said
+from quasi.gap.flights.covariates import EVERYWHERE, where_in_words
 from quasi.gap.levels.forces import unexplained
 from quasi.gap.levels.forces.beyond_references import left_beyond_references
 from quasi.gap.levels.forces.case import Case
@@ -353,9 +353,8 @@ def _fainter_than_unknown(case: Case, settled: Settled, found: Found, left: unex
         for entry in unknown:
             channel, where, p = entry["channel"], entry["where"], entry["evidence"]["p"]
             if AXES.index(channel) in axes and entry["since"] == cause.since and p < chance:
-                return (
-                    f"{channel} differs {said(where)} in a way that no cause explains, and more clearly (p = {p:.2g})"
-                )
+                place = where_in_words(where)
+                return f"{channel} differs {place} in a way that no cause explains, and more clearly (p = {p:.2g})"
         return ""
 
     for stand_in in [c for c in found.stand_ins if why(c)]:

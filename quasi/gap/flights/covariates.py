@@ -43,7 +43,7 @@ UNITS_AT = {
 }  # fmt: skip
 
 
-def said(where: str) -> str:
+def where_in_words(where: str) -> str:
     """Where an error lives, in words that follow "differs"."""
     return SAID.get(where) or f"along the {where}"
 

@@ -13,7 +13,7 @@ import numpy as np
 import pandas as pd
 
 from quasi.gap.effect import Vehicle
-from quasi.gap.flights.covariates import EVERYWHERE, IN_TIME, OWN_COVARIATES, said
+from quasi.gap.flights.covariates import EVERYWHERE, IN_TIME, OWN_COVARIATES, where_in_words
 from quasi.gap.flights.evidence import Evidence
 from quasi.gap.flights.ranges import find_ranges, profile
 from quasi.gap.levels.forces import spectral_peaks as rhythm
@@ -201,8 +201,8 @@ def outdone(
         takes_most = adds_more and cause.wald < 0.5 * mixed.test(asked, others, pooled).wald
         if (place in found and cause.p >= level) or takes_most:
             return (
-                f"{AXES[k]} differs {said(choice.where)} in a way that no cause explains (p = {function.p:.2g} with "
-                f"the cause given); with that given the cause has p = {cause.p:.2g}"
+                f"{AXES[k]} differs {where_in_words(choice.where)} in a way that no cause explains "
+                f"(p = {function.p:.2g} with the cause given); with that given the cause has p = {cause.p:.2g}"
             )
     return ""
 
