@@ -11,7 +11,7 @@ from quasi.gap.effect import Effect, Limits, Vehicle, as_flown
 from quasi.gap.flights.evidence import Evidence
 from quasi.gap.levels.forces.axis_consistency import AXIS_T, contradiction, voices
 from quasi.gap.levels.forces.design import Design, gather_design, moved
-from quasi.gap.levels.forces.nonlinear import chords, started
+from quasi.gap.levels.forces.nonlinear import ASTRAY, STAYS, chords, distance, found_alone, started
 from quasi.gap.materiality import Cause, Deviations, seen_in
 from quasi.gap.profile import Profile
 from quasi.gap.selection import FORCES, SUSPECT, Named, Rules, Tie, select_causes
@@ -19,8 +19,6 @@ from quasi.gap.statistics.candidates import Candidate, Test
 from quasi.gap.statistics.clustered import ClusteredMixedModel
 from quasi.gap.statistics.mixed import ALL_NEEDED_P, MixedModel
 
-ASTRAY = 0.5  # of its size, that a cause may move when it is linearised there
-STAYS = 0.02  # of its size, by which a cause that moves less stays where it is
 FORCE_ITERATIONS = 4  # how often curved causes are linearised anew, and contradicted ones left out
 # [(id, deviations)] of all changes together -> {position of one that is contradicted: why}, the worst first
 Contradicts = Callable[[Sequence[tuple[str, Deviations]]], Mapping[int, str]]
@@ -65,8 +63,12 @@ def seek(
     barred: dict[str, frozenset[int]] = {}
     study = started(gather_design(flights, asked, vehicle), asked, vehicle, compared)
     values = {flag: dict(study.values[0]) for flag in (True, False)}  # of compared flights and of reference flights
+    far, acting = found_alone(study, asked, vehicle, compared, rate)
+    asked = {**asked, **acting}
+    values[True] |= far
     for look in range(FORCE_ITERATIONS):
-        study = moved(study, asked, vehicle, [values[bool(flag)] for flag in compared]) if look else study
+        if look or far:
+            study = moved(study, asked, vehicle, [values[bool(flag)] for flag in compared])
         mixed = study.witnessed(range(len(flights)), compared)
         mixed.columns = mixed.columns._replace(barred=barred)
         lacking = (*study.lacking, *contradicted)
@@ -83,7 +85,7 @@ def seek(
         neutral |= {
             n
             for n, old in values[True].items()
-            if not asked[n].starts and _moved(asked[n], now.get(n, {}), old) > ASTRAY
+            if not asked[n].starts and distance(asked[n], now.get(n, {}), old) > ASTRAY
         }
         straight = [b for b in bent if b[0] not in neutral]
         curved = chords(asked, {flag: _sizes(straight, flag) for flag in (True, False)}, values[True])
@@ -168,21 +170,9 @@ def _sizes(causes: Sequence[tuple[str, str, Deviations]], compared: bool) -> dic
     return found
 
 
-def _moved(effect: Effect, new: Deviations, old: Deviations) -> float:
-    """How far the sizes of a cause are from those that it was linearised at, as a share of these. Parameters count in
-    units of their ranges and together: of a wind, the component that is not there moves by all of its size."""
-
-    def length(sizes: Deviations) -> float:
-        return float(np.sqrt(sum((v / (effect.parameters[p].high - effect.parameters[p].low)) ** 2
-                                 for p, v in sizes.items())))  # fmt: skip
-
-    away = {p: new.get(p, 0.0) - old.get(p, 0.0) for p in {**old, **new}}
-    return length(away) / max(length(old), 1e-300)
-
-
 def _elsewhere(asked: Mapping[str, Effect], new: Mapping[str, Deviations], old: Mapping[str, Deviations]) -> bool:
     """Whether causes have to be linearised anew."""
-    return new.keys() != old.keys() or any(_moved(asked[n], own, old[n]) > STAYS for n, own in new.items())
+    return new.keys() != old.keys() or any(distance(asked[n], own, old[n]) > STAYS for n, own in new.items())
 
 
 def _contradicted(
