@@ -1,9 +1,11 @@
 """The search of forces: what the trim contradicts, and mass or thrust."""
 
+import copy
 import dataclasses
 from types import SimpleNamespace
 
 import numpy as np
+import pandas as pd
 import pytest
 from test_unexplained import flight, ground  # noqa: F401
 from test_wrench_level import EFFECTS
@@ -15,7 +17,7 @@ from quasi.gap.levels.forces.axis_consistency import Voice
 from quasi.gap.selection import Named, Tie
 from quasi.gap.statistics import mixed as tests_on
 from quasi.gap.statistics.candidates import Candidate
-from quasi.model.model import Model
+from quasi.model.model import AXES, Model
 
 
 def test_a_cause_that_the_trim_contradicts_is_left_out_and_the_others_are_sought_without_it(ground):  # noqa: F811
@@ -48,6 +50,39 @@ def test_a_cause_that_the_trim_contradicts_is_left_out_and_the_others_are_sought
     assert [[t.offer for t in tie.tests] for _, tie in sides[1].ties] == [
         [t.offer for t in tie.tests] for _, tie in without.ties
     ]
+
+
+def test_strong_wind_is_found_where_its_slope_in_still_air_hardly_shows_it(ground):  # noqa: F811
+    """Drag with the square of airspeed, at a tenth of the wind's speed; moments that no wind changes in truth."""
+    airframe, simple = ground
+    document = copy.deepcopy(simple.document)
+    for axis, expression, coefficient in (
+        ("Fx", "(u^2 + v^2 + w^2)^0.5*u", -0.01), ("Fy", "(u^2 + v^2 + w^2)^0.5*v", -0.01), ("Mx", "u*v", 1e-4),
+    ):  # fmt: skip
+        terms = document["axes"][axis]["terms"]
+        terms.append({**terms[0], "name": expression, "expression": expression, "coefficient": coefficient})
+        terms[-1]["given"] = True
+    for axis in ("Fx", "Fy", "Fz"):
+        for term in document["axes"][axis]["terms"]:
+            term["coefficient"] *= 0.01 if term["expression"] in ("u", "v", "w") else 1.0
+    model, wind = Model(document, "test"), {"north": 4.8, "east": -3.6, "down": 0.0}
+    vehicle, asked = vehicle_of(model), {n: catalogue()[n] for n in ("wind", "rotor_drag", "body_drag", "tether")}
+
+    def made(k):
+        plain = flight(ground, k)
+        columns = {**plain.columns, "u": 0.3 * plain.columns["u"], "v": 0.3 * plain.columns["v"]}
+        predicted = model.predict_columns(pd.DataFrame(columns))[list(AXES)].to_numpy()
+        slow = dataclasses.replace(
+            plain, model=model, columns=columns, predicted=predicted, measured=predicted + plain.residual
+        )
+        blown = whole_of(catalogue()["wind"], slow, vehicle, wind) * [1, 1, 1, 0, 0, 0] if k >= 4 else 0.0
+        return dataclasses.replace(slow, measured=slow.measured + blown)
+
+    within = {n: e.limits(vehicle) for n, e in asked.items()}
+    found = sought.seek([made(k) for k in range(8)], asked, vehicle, np.arange(8) >= 4, 0.01, within)
+    (named,) = found.named
+    assert named.test.offer[:2] == ("wind", "changed") and not found.ties
+    assert named.test.value[:2] == pytest.approx([4.8, -3.6], abs=0.3)
 
 
 @pytest.mark.parametrize(

@@ -104,8 +104,6 @@ def _alone(
         elif distance(effect, new, at) <= STAYS:
             far = distance(effect, new, start) > ASTRAY
             return (test.unlikely, new) if far and test.unlikely < first else None
-        elif look == 1 and distance(effect, new, start) <= ASTRAY:
-            return None
         at = new
     return None
 
