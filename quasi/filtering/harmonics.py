@@ -21,7 +21,6 @@ from scipy.signal import butter, lfilter
 
 from quasi.filtering import forces
 
-CENTRES = ("measured speed", "median speed")
 # a log denser than this many times the grid was low-passed at its import, below half the grid's rate
 DENSER = 4.0 / 3.0
 RAMP = 0.25  # of the lowest frequency: over which a line that rises from below is faded in
@@ -82,7 +81,7 @@ def lines(
     """Where the rotors' harmonics stand on the grid.
 
     speeds    (N, R) rad/s, finite and smooth; flying (N,) bool; harmonics  from the first to this one
-    centre    one of CENTRES: every line follows its rotor, or stays at its rotor's median in flight
+    centre    "measured speed": every line follows its rotor, or "median speed": it stays at its median in flight
     width     Hz, less than `lowest`, below which a line is left in; log_rate  Hz of the log; rate  Hz of the grid
     """
     turning = np.abs(np.asarray(speeds, float)) / (2.0 * np.pi)
