@@ -10,7 +10,7 @@ import pandas as pd
 
 from quasi import attitude
 from quasi.airframe import Airframe
-from quasi.errors import ConfigError, DataError, add_caution, cautions
+from quasi.errors import DataError, add_caution, cautions
 from quasi.filtering import band as bands
 from quasi.filtering import bias as biases
 from quasi.filtering import ekf, estimation, forces, harmonics, measurements
@@ -18,33 +18,14 @@ from quasi.filtering.contact import find_contacts
 from quasi.filtering.filter_inputs import Material
 from quasi.filtering.rotor_speeds import commands_to_keep
 from quasi.filtering.verdict import judge_flight
+from quasi.project import configuration
 from quasi.sensor_limits import check_measured_motion, describe_impossible_inertia
 from quasi.tables import COLUMNS
 from quasi.terms.rotor_map import RAW
 
-KALMAN_DEFAULTS: dict[str, Any] = {
-    "use noise statistics in drone config": True,
-    "run extended kalman filter": True,
-    "add induced velocity": False,
-    "engine": "compiled",
-    "smoother": True,
-    "bias policy": "automatic",
-    "low-pass cutoff Hz": 40.0,
-    "rotor notch harmonics": 0,
-    "rotor notch centre": "measured speed",
-    "rotor notch width Hz": 10.0,
-    "rotor notch lowest Hz": 30.0,
-    "re-estimate noise": True,
-    "estimate attitude alignment": True,
-    "gyro bias random walk": 1e-5,
-    "accelerometer bias random walk": 1e-4,
-    "capture gap limit s": 1.0,
-}
 COURSE_RATE = 50.0  # Hz, of the filter's course where it is not asked for whole
 NONE_VALID = "no row of this flight is valid for identification"
-ENGINES = ("compiled", "filterpy")
 REPORTED_SHARE = 0.05  # share of a flight from which a reason for its invalid rows is named
-POLICIES = ("automatic", "rest", "whole flight", "time varying")
 
 
 class _Logged(NamedTuple):
@@ -78,38 +59,6 @@ def course(result: Filtered, whole: bool) -> pd.DataFrame:
         return pd.DataFrame({"t": np.zeros(0)})
     every = 1 if whole else max(1, round(result.metadata["sampling"]["rate"] / COURSE_RATE))
     return result.convergence.iloc[::every].reset_index(drop=True)
-
-
-def _options(options: Mapping[str, Any]) -> dict[str, Any]:
-    chosen = {**KALMAN_DEFAULTS, **options}
-    for key, known in (("bias policy", POLICIES), ("engine", ENGINES)):
-        if chosen[key] not in known:
-            raise ConfigError(f"'{key}' is {chosen[key]!r}, expected one of {', '.join(known)}")
-    for key in ("low-pass cutoff Hz", "rotor notch width Hz", "rotor notch lowest Hz", "capture gap limit s"):
-        if not 0.0 < float(chosen[key]) < np.inf:
-            raise ConfigError(f"'{key}' is {chosen[key]!r}, expected a positive number")
-    for key in ("gyro bias random walk", "accelerometer bias random walk"):
-        if not 0.0 <= float(chosen[key]) < np.inf:
-            raise ConfigError(f"'{key}' is {chosen[key]!r}, expected zero or a positive number")
-    bands.check(chosen)
-    return chosen
-
-
-def _check(airframe: Airframe, notes: list[str]) -> None:
-    if airframe.mass is None:
-        raise DataError(
-            f"{airframe.name}: no mass is known; give 'Mass' in the logbook or 'mass' in the quadrotor configuration"
-        )
-    if not 0.0 < airframe.mass < np.inf:
-        raise DataError(f"{airframe.name}: the mass is {airframe.mass:g} kg, expected a positive number; correct it")
-    inertia = np.asarray(airframe.inertia, float)
-    principal = np.linalg.eigvalsh(0.5 * (inertia + inertia.T)) if np.all(np.isfinite(inertia)) else np.full(3, -1.0)
-    if principal[0] <= 0:
-        raise DataError(
-            f"{airframe.name}: 'moment of inertia' is not positive definite; check its entries and units (kg m2)"
-        )
-    if fault := describe_impossible_inertia(inertia):
-        add_caution(notes, f"{airframe.name}: {fault}")
 
 
 def _filled(frame: pd.DataFrame, names: list[str], notes: list[str]) -> tuple[dict[str, np.ndarray], np.ndarray]:
@@ -152,9 +101,15 @@ def filter_flight(
     Returns    Filtered; every row of the import is kept, column `valid` is 1 where a row may be used for identification
     Raises     DataError where the flight cannot be filtered, ConfigError for an impossible option
     """
-    chosen = _options(options)
+    chosen, _ = configuration.check(dict(options), "processing", "data filtering", "properties", "data filtering")
+    bands.check(chosen)
+    if airframe.mass is None:
+        raise DataError(
+            f"{airframe.name}: no mass is known; give 'Mass' in the logbook or 'mass' in the quadrotor configuration"
+        )
     notes: list[str] = []
-    _check(airframe, notes)
+    if fault := describe_impossible_inertia(np.asarray(airframe.inertia, float)):
+        add_caution(notes, f"{airframe.name}: {fault}")
     t = imported["t"].to_numpy(float)
     dt = measurements.time_step(t)
     rate = 1.0 / dt

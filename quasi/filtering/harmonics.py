@@ -17,12 +17,10 @@ Oppenheim & Schafer, Discrete-Time Signal Processing, 3rd ed., 2010, sections 4.
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit
-from scipy.signal import butter
+from scipy.signal import butter, lfilter
 
 from quasi.filtering import forces
 
-CENTRES = ("measured speed", "median speed")
 # a log denser than this many times the grid was low-passed at its import, below half the grid's rate
 DENSER = 4.0 / 3.0
 RAMP = 0.25  # of the lowest frequency: over which a line that rises from below is faded in
@@ -83,7 +81,7 @@ def lines(
     """Where the rotors' harmonics stand on the grid.
 
     speeds    (N, R) rad/s, finite and smooth; flying (N,) bool; harmonics  from the first to this one
-    centre    one of CENTRES: every line follows its rotor, or stays at its rotor's median in flight
+    centre    "measured speed": every line follows its rotor, or "median speed": it stays at its median in flight
     width     Hz, less than `lowest`, below which a line is left in; log_rate  Hz of the log; rate  Hz of the grid
     """
     turning = np.abs(np.asarray(speeds, float)) / (2.0 * np.pi)
@@ -122,36 +120,15 @@ def _low_pass(width: float, rate: float) -> tuple[np.ndarray, np.ndarray]:
     return butter(2, 0.5 * width / HALF, fs=rate)
 
 
-@njit(cache=True)
-def _line(values, frequency, weight, rate, b, a, out):
-    """The line of one frequency (N,) in each column of values (N, m), as its two slow parts out (2, N, m)."""
-    n, m = values.shape
-    angle = 0.0
-    cosine, sine = np.empty(n), np.empty(n)
-    for k in range(n):
-        if k > 0:
-            angle += np.pi * (frequency[k - 1] + frequency[k]) / rate
-        cosine[k] = np.cos(angle)
-        sine[k] = np.sin(angle)
-    for c in range(m):
-        for part in range(2):
-            s1 = 0.0
-            s2 = 0.0
-            for k in range(n):
-                x = weight[k] * values[k, c] * (cosine[k] if part == 0 else sine[k])
-                y = b[0] * x + s1
-                s1 = b[1] * x - a[1] * y + s2
-                s2 = b[2] * x - a[2] * y
-                out[part, k, c] = y
-            s1 = 0.0
-            s2 = 0.0
-            for k in range(n - 1, -1, -1):
-                x = out[part, k, c]
-                y = b[0] * x + s1
-                s1 = b[1] * x - a[1] * y + s2
-                s2 = b[2] * x - a[2] * y
-                out[part, k, c] = y
-    return cosine, sine
+def _line(
+    values: np.ndarray, frequency: np.ndarray, weight: np.ndarray, rate: float, b: np.ndarray, a: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """The line of one frequency (N,) in each column of values (N, m), as its two slow parts (2, N, m); and their
+    carriers (2, N, 1), cosine and sine."""
+    angle = np.concatenate([[0.0], np.cumsum(np.pi * (frequency[:-1] + frequency[1:]) / rate)])
+    carriers = np.stack([np.cos(angle), np.sin(angle)])[:, :, None]
+    ahead = lfilter(b, a, carriers * (weight[:, None] * values), axis=1)
+    return lfilter(b, a, ahead[:, ::-1], axis=1)[:, ::-1], carriers
 
 
 def _above(values: np.ndarray, lowest: float, rate: float) -> np.ndarray:
@@ -168,14 +145,14 @@ def take_out(values: np.ndarray, found: Lines) -> np.ndarray:
     values = np.asarray(values, float)
     b, a = _low_pass(found.width, found.rate)
     high = _above(values, found.lowest, found.rate)
-    left, slow = high.copy(), np.empty((2, *values.shape))
+    left = high.copy()
     there = range(len(found.harmonic))
     for i in (*there, *reversed(there)):
-        weight = np.ascontiguousarray(found.weight[:, i])
+        weight = found.weight[:, i]
         if not weight.any():
             continue
-        cosine, sine = _line(left, np.ascontiguousarray(found.frequency[:, i]), weight, found.rate, b, a, slow)
-        left -= 2.0 * weight[:, None] * (cosine[:, None] * slow[0] + sine[:, None] * slow[1])
+        slow, carriers = _line(left, found.frequency[:, i], weight, found.rate, b, a)
+        left -= 2.0 * weight[:, None] * (carriers * slow).sum(axis=0)
     return values - _above(high - left, found.lowest, found.rate)
 
 
@@ -192,11 +169,10 @@ def clearness(values: np.ndarray, found: Lines, i: int, part: np.ndarray) -> flo
     own. The greatest of the columns.
     """
     values = _above(values, found.lowest, found.rate)
-    frequency, weight = (np.ascontiguousarray(x[:, i]) for x in (found.frequency, found.weight))
     power = []
     for width in (found.width, 3.0 * found.width):
-        slow = np.empty((2, *values.shape))
-        _line(values, frequency, weight, found.rate, *_low_pass(width, found.rate), slow)
+        line = (values, found.frequency[:, i], found.weight[:, i], found.rate, *_low_pass(width, found.rate))
+        slow, _ = _line(*line)
         power.append(np.sum(slow**2, axis=0)[part].mean(axis=0))
     around = np.maximum((power[1] - power[0]) / 2.0, 1e-300)
     return float(np.max(power[0] / around))

@@ -2,19 +2,15 @@
 
 import numpy as np
 
-from quasi.filtering import ekf, harmonics
+from quasi.filtering import ekf
 from quasi.filtering.smoother import smooth
 
-FILTERED_SAMPLES, SAMPLE_RATE = 500, 500.0  # samples and Hz; enough for the filters of `harmonics`
+FILTERED_SAMPLES, SAMPLE_RATE = 500, 500.0  # samples and Hz
 
 
 def compile_kernels() -> None:
     """Call every kernel with the argument types of a real flight; compiled ones are loaded from the cache."""
-    vectors, upright, all_rows = (
-        np.zeros((FILTERED_SAMPLES, 3)),
-        np.array([1.0, 0.0, 0.0, 0.0]),
-        np.ones(FILTERED_SAMPLES, bool),
-    )
+    vectors, upright = np.zeros((FILTERED_SAMPLES, 3)), np.array([1.0, 0.0, 0.0, 0.0])
     inputs = ekf.Inputs(
         dt=1.0 / SAMPLE_RATE,
         gyro=vectors,
@@ -34,6 +30,3 @@ def compile_kernels() -> None:
         covariance=np.eye(ekf.STATES),
     )
     smooth(inputs, ekf.forward(inputs))
-    speeds = np.full((FILTERED_SAMPLES, 4), 2.0 * np.pi * 100.0)  # rad/s, of four rotors
-    found = harmonics.lines(speeds, all_rows, 1, "measured speed", 5.0, 30.0, SAMPLE_RATE, SAMPLE_RATE)
-    harmonics.clearness(vectors, found, 0, all_rows)

@@ -17,7 +17,6 @@ from quasi.terms.canonical import canonicalise
 from quasi.terms.expressions import Tree, parse
 from quasi.terms.variables import SYNONYMS
 
-AXES = ("Fx", "Fy", "Fz", "Mx", "My", "Mz")
 LARGEST_POOL = 200_000
 BIAS = "bias"
 
@@ -57,19 +56,11 @@ class Specification:
 def read_specification(document: Mapping[str, Any], axis: str, where: str, bias: bool = True) -> Specification:
     """Fixed regressors and candidates of one axis.
 
-    document  a whole specification {"Fx": {...}, ...}, or the section of the axis alone
-    axis      "Fx" .. "Mz"; where  the file, for messages; bias  whether a constant belongs to the model
+    document  a specification {"Fx": {...}, ...} as the schema of polynomials has it
+    axis      a section of it; where  the file, for messages; bias  whether a constant belongs to the model
     Raises ConfigError for a wrong section, ExpressionError for an expression that cannot be read; both name the place.
     """
-    if axis not in AXES:
-        raise ConfigError(f"'{axis}' is not an axis{nearest(axis, AXES)}")
-    if not isinstance(document, Mapping):
-        raise ConfigError(f"{where}: a specification must be a JSON object with a section for '{axis}'")
-    section = document
-    if not {"candidates", "fixed"} & set(document):
-        if axis not in document:
-            raise ConfigError(f"{where} holds no section '{axis}'{nearest(axis, document)}; add one")
-        section = document[axis]
+    section = document[axis]
     place = f"{where}, {axis}"
     fixed = tuple(_term(text, f"{place}, fixed") for text in section.get("fixed", []))
     if not bias and not fixed:
@@ -107,23 +98,15 @@ def _key(tree: Tree) -> tuple:
     return canonicalise(tree, SYNONYMS)[1]
 
 
-def _term(text: Any, place: str) -> Term:
-    shown = _text(text, place)
+def _term(value: str | float, place: str) -> Term:
+    text = value.strip() if isinstance(value, str) else f"{value:g}"
     try:
-        return Term(shown, parse(shown))
+        return Term(text, parse(text))
     except ExpressionError as error:
         raise ExpressionError(f"{place}: {error}") from None
 
 
-def _text(value: Any, place: str) -> str:
-    if isinstance(value, bool) or not isinstance(value, str | int | float):
-        raise ConfigError(f"{place}: found {value!r}, expected a number or an expression in quotes")
-    return value.strip() if isinstance(value, str) else f"{value:g}"
-
-
-def _known(given: Any, fixed: Sequence[Term], place: str) -> dict[str, float]:
-    if not isinstance(given, Mapping):
-        raise ConfigError(f"{place}: 'fixed coefficients' must map fixed regressors to numbers, found {given!r}")
+def _known(given: Mapping[str, float], fixed: Sequence[Term], place: str) -> dict[str, float]:
     texts = [t.expression for t in fixed]
     result = {}
     for text, value in given.items():
@@ -131,28 +114,17 @@ def _known(given: Any, fixed: Sequence[Term], place: str) -> dict[str, float]:
             raise ConfigError(
                 f"{place}: 'fixed coefficients' names '{text}', which is not under 'fixed'{nearest(text, texts)}"
             )
-        if isinstance(value, bool) or not isinstance(value, int | float):
-            raise ConfigError(f"{place}: the fixed coefficient of '{text}' is {value!r}, expected a number")
         result[text] = float(value)
     return result
 
 
-def _pool(entries: Any, place: str) -> Iterator[Term]:
-    if not isinstance(entries, list):
-        raise ConfigError(f"{place}: 'candidates' must be a list of entries with 'vars', 'degree' and 'sets'")
+def _pool(entries: Sequence[Mapping[str, Any]], place: str) -> Iterator[Term]:
     for number, entry in enumerate(entries, 1):
         here = f"{place}, candidates entry {number}"
-        if not isinstance(entry, Mapping) or not isinstance(entry.get("vars"), list) or not entry["vars"]:
-            raise ConfigError(f"{here}: 'vars' must be a list of at least one variable or expression")
-        degree, sets = entry.get("degree"), entry.get("sets", [1])
-        if isinstance(degree, bool) or not isinstance(degree, int) or degree < 1:
-            raise ConfigError(f"{here}: 'degree' is {degree!r}, expected a whole number of at least 1")
-        if not isinstance(sets, list) or not sets:
-            raise ConfigError(f"{here}: 'sets' must be a list of at least one number or expression such as 1")
         variables = [_term(v, f"{here}, vars") for v in entry["vars"]]
-        factors = [_term(s, f"{here}, sets") for s in sets]
+        factors = [_term(s, f"{here}, sets") for s in entry.get("sets", [1])]
         # by their number, before any is formed: repeated variables make duplicates that the pool's size does not count
-        degree = min(degree, LARGEST_POOL)
+        degree = min(int(entry["degree"]), LARGEST_POOL)
         if len(factors) * (math.comb(len(variables) + degree, degree) - 1) > LARGEST_POOL:
             raise ConfigError(
                 f"{here}: {len(variables)} variables at degree {degree} with {len(factors)} sets make more than "

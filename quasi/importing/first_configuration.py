@@ -1,6 +1,7 @@
 """From one log to a project folder: what the log says of its vehicle, written where a person corrects it."""
 
-import json
+import csv
+import io
 import math
 import os
 import re
@@ -146,7 +147,7 @@ def lay_folder_from(folder: Path, library: Path, log: Path, capture: Path | None
     body = read_capture(Request(capture, rigid_body=None)).metadata["rigid body"] if capture is not None else ""
     text = lay_folder(folder, library)
     place = folder / "data" / f"{QUADROTOR}.json"
-    quadrotor = _with_keys(read_json(place), {**first.quadrotor, "flight controller": first.controller})
+    quadrotor = {**read_json(place), **first.quadrotor, "flight controller": first.controller}
     write_json(place, quadrotor)
     cells = {
         "Quadrotor": QUADROTOR, "Onboard Name": log.name, "OB Path": _path_from(folder, log.parent),
@@ -161,19 +162,15 @@ def lay_folder_from(folder: Path, library: Path, log: Path, capture: Path | None
         cells["Flight key"] = key
     logbook = folder / "data/logbook.csv"
     names = read_text(logbook).splitlines()[0].split(",")
-    row = ",".join(_quoted(cells.get(name, "")) for name in names)
-    write_text(logbook, f"{','.join(names)}\n{row}\n")
+    rows = csv.writer(written := io.StringIO(), lineterminator="\n")
+    rows.writerows([names, [cells.get(name, "") for name in names]])
+    write_text(logbook, written.getvalue())
     processing = folder / "config/processing.json"
     write_text(processing, re.sub(r'(rows of flights to use \(all\)": )\[[^\]]*\]', r"\1[2]", read_text(processing)))
     flight = {"flight": key, "quadrotor": QUADROTOR, "flight controller": first.controller, "onboard": str(log),
               "capture": str(capture) if capture else None, "rigid body": body, "log number": None}  # fmt: skip
     found = inspect_flight({"flight": flight, "quadrotor": quadrotor, "problem": None})
     return _report(folder, library, first, found, key, text)
-
-
-def _with_keys(document: Mapping[str, Any], keys: Mapping[str, Any]) -> dict[str, Any]:
-    """A configuration with keys set in their places, comments kept."""
-    return {**{k: keys.get(k, v) for k, v in document.items()}, **{k: v for k, v in keys.items() if k not in document}}
 
 
 def _path_from(folder: Path, target: Path) -> str:
@@ -185,10 +182,6 @@ def _path_from(folder: Path, target: Path) -> str:
 def _key_of(log: Path) -> str:
     key = re.sub(r"[^A-Za-z0-9._+-]+", "_", key_of(log.name)).strip(".") or "flight"
     return key if VALID_NAME.fullmatch(key) else f"flight_{key}"
-
-
-def _quoted(cell: str) -> str:
-    return json.dumps(cell, ensure_ascii=False) if re.search(r'[,"\n]', cell) else cell
 
 
 def _report(

@@ -8,7 +8,7 @@ import pandas as pd
 
 from quasi.airframe import DEFAULT_POLES, erpm100_to_rad_s, read_poles, read_triple
 from quasi.attitude import exponential, interpolate, multiply, rotate, rotate_inverse, to_euler
-from quasi.errors import ConfigError, DataError, add_caution
+from quasi.errors import DataError, add_caution
 from quasi.importing import limits
 from quasi.importing.artefacts import flyable
 from quasi.importing.calibration import calibrated_capture, calibrated_onboard
@@ -28,18 +28,10 @@ from quasi.importing.series import Recording, Series
 from quasi.importing.streams import stream
 from quasi.importing.verdict import verdict
 from quasi.importing.wind import add_wind
+from quasi.project import configuration
 from quasi.sensor_limits import to_plain
 from quasi.tables import sha256_of
 
-IMPORT_DEFAULTS: dict[str, Any] = {
-    "resampling rate": 500.0,
-    "use onboard attitude": False,
-    "do onboard c.g. correction": False,
-    "filter optitrack outliers": True,
-    "optitrack velocity Hz cutoff": 10.0,
-    "align with optitrack using": ["pitch", "yaw"],
-    "max permitted lag for optitrack": 25.0,
-}
 SAME_CLOCK_LAG = 1.0  # s, the most that a capture logged on board may be late
 SCHEMA = "quasi.imported/1"
 
@@ -56,18 +48,16 @@ def import_flight(
                None), "log number" (or None), "wind" (see `wind.add_wind`; absent in still air), "unread" (sentences
                on files that the logbook names in vain; absent without)
     quadrotor  its configuration (the manual's listing 1 and our keys)
-    options    "data importing" of the processing configuration; other keys are ignored
+    options    "data importing" of the processing configuration
     calibration  of the sensors, applied to the raw streams (see `quasi.importing.calibration`); None for none
     Returns    columns of quasi.tables.COLUMNS (SI, earth NED, body FRD) from t = 0 at the first fused sample; flags
                attitude_sample, position_sample, velocity_sample, onboard_valid, and imu_clipped where a sensor left
                its range, as 0 or 1; and the metadata
     Raises     ReadError, DataError or ConfigError: a sentence that names the file and the remedy
     """
-    chosen = {**IMPORT_DEFAULTS, **{k: v for k, v in options.items() if k in IMPORT_DEFAULTS and v is not None}}
+    chosen, _ = configuration.check(dict(options), "processing", "data importing", "properties", "data importing")
     rate = float(chosen["resampling rate"])
     where = str(flight["flight"])
-    if not 10.0 <= rate <= 8000.0:
-        raise ConfigError(f"'resampling rate' is {rate:g} Hz, expected 10 to 8000")
     notes: list[str] = []
     for sentence in flight.get("unread", ()):
         add_caution(notes, sentence)

@@ -8,6 +8,7 @@ from log_formats import Ulog, dataflash_of, made_flight, ulog_of, write_bag, wri
 
 from quasi.errors import ConfigError, ReadError, cautions
 from quasi.importing.onboard_log import read_onboard
+from quasi.project import configuration
 from quasi.project.logbook import read_logbook
 from quasi.project.workflow import Folder
 
@@ -43,8 +44,8 @@ def test_a_mistyped_topic_is_named_with_its_neighbour(tmp_path, flight):
     path = write_bag(tmp_path, flight)
     with pytest.raises(ConfigError, match=r"'/inu'.*did you mean '/imu'"):
         read(path, "rosbag", **{"log topics": {"body rates": "/inu"}})
-    with pytest.raises(ConfigError, match="unknown key 'rates'"):
-        read(path, "rosbag", **{"log topics": {"rates": "/imu"}})
+    with pytest.raises(ConfigError, match="unknown key 'rates' in 'log topics'"):
+        configuration.check({"log topics": {"rates": "/imu"}}, "quadrotor", "file")
     columns = {n: f"/imu.angular_velocity.{a}" for n, a in zip("pqr", "xyq")}
     mapping = {"sources": [{"name": "imu", "frame": "FLU", "columns": columns}]}
     with pytest.raises(ReadError, match=r"'/imu.angular_velocity.q'.*did you mean '/imu.angular_velocity"):

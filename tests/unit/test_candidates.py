@@ -7,7 +7,9 @@ import pytest
 
 from quasi import tables
 from quasi.errors import ConfigError, ExpressionError
-from quasi.identification.candidates import AXES, read_specification
+from quasi.identification.candidates import read_specification
+from quasi.model.document import AXES
+from quasi.project import configuration
 from quasi.terms.expressions import Program
 
 LISTING = "config/polynomials/manual_listing_17.json"
@@ -94,10 +96,6 @@ def test_fixed_coefficients_belong_to_fixed_regressors():
 @pytest.mark.parametrize(
     ("entry", "hint"),
     [
-        ({"vars": [], "degree": 1}, "'vars'"),
-        ({"vars": ["u"], "degree": 0}, "'degree' is 0"),
-        ({"vars": ["u"], "degree": 1, "sets": []}, "'sets'"),
-        ({"vars": [None], "degree": 1}, "None"),
         ({"vars": ["sin(u)"], "degree": 1}, "nothing can be called"),
         ({"vars": ["(" * 10_000 + "u"], "degree": 1}, "nested"),
         ({"vars": list("uvwpqrxyz"), "degree": 20}, "candidates; lower 'degree'"),
@@ -107,6 +105,24 @@ def test_a_wrong_entry_is_a_sentence_with_file_and_place(entry, hint, monkeypatc
     monkeypatch.setattr("quasi.identification.candidates.LARGEST_POOL", 2000)
     with pytest.raises((ConfigError, ExpressionError), match=r"spec\.json, Fx") as caught:
         pool(entry)
+    assert hint in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("part", "hint"),
+    [
+        ({"candidates": [{"vars": [], "degree": 1}]}, "'vars'"),
+        ({"candidates": [{"vars": ["u"], "degree": 0}]}, "'degree' is 0"),
+        ({"candidates": [{"vars": ["u"], "degree": 1, "sets": []}]}, "'sets'"),
+        ({"candidates": [{"vars": [None], "degree": 1}]}, "is null, expected text"),
+        ({"candidates": {}}, "expected a list"),
+        ({"fixed": [True]}, "expected text or a number"),
+        ({"fixed": ["u"], "fixed coefficients": {"u": "2"}}, "'u' is '2', expected a number"),
+    ],
+)
+def test_a_section_of_the_wrong_form_is_refused_by_the_schema(part, hint):
+    with pytest.raises(ConfigError, match=r"spec\.json: 'Fx'") as caught:
+        configuration.check({"Fx": part}, "polynomials", "spec.json")
     assert hint in str(caught.value)
 
 

@@ -129,12 +129,6 @@ def test_a_rotor_without_values_is_said_once(made):
     assert len(about(result, "'w1' holds no value")) == 1 and "w1" not in result.with_gravity
 
 
-@pytest.mark.parametrize("inertia", [np.diag([1e-3, -1e-3, 1e-3]), np.full((3, 3), np.nan), np.zeros((3, 3))])
-def test_inertia_that_is_not_positive_definite_is_an_error(made, inertia):
-    with pytest.raises(DataError, match="'moment of inertia' is not positive definite"):
-        filter_flight(*made, replace(AIRFRAME, inertia=inertia), {})
-
-
 def test_inertia_that_no_body_has_is_said(made):
     result = filter_flight(*made, replace(AIRFRAME, inertia=np.diag([1e-3, 1e-3, 3e-3])), {})
     assert about(result, "the greatest exceeds the sum of the others, which is impossible")
@@ -150,12 +144,6 @@ def test_inertia_that_measurements_may_have_is_a_note_and_no_contradiction(made)
     assert describe_impossible_inertia(np.diag([1e-3, 1e-3, 2e-3])) is None
 
 
-@pytest.mark.parametrize("mass", [0.0, -0.4, float("nan")])
-def test_mass_that_is_no_mass_is_an_error(made, mass):
-    with pytest.raises(DataError, match="the mass is"):
-        filter_flight(*made, replace(AIRFRAME, mass=mass), {})
-
-
 def test_noise_statistics_that_are_no_numbers_give_way_to_defaults(made):
     broken = replace(AIRFRAME, noise={"p": {"mean": 0.0, "std": float("nan")}, "q": {"mean": 0.0, "std": 0.0}})
     result = filter_flight(*made, broken, {})
@@ -164,16 +152,16 @@ def test_noise_statistics_that_are_no_numbers_give_way_to_defaults(made):
 
 
 @pytest.mark.parametrize(
-    "options",
+    ("options", "words"),
     [
-        {"gyro bias random walk": -1.0},
-        {"low-pass cutoff Hz": float("nan")},
-        {"low-pass cutoff Hz": float("inf")},
-        {"capture gap limit s": 0},
+        ({"gyro bias random walk": -1.0}, "-1.0 is less than the minimum of 0"),
+        ({"low-pass cutoff Hz": float("nan")}, "expected a finite number"),
+        ({"low-pass cutoff Hz": float("inf")}, "expected a finite number"),
+        ({"capture gap limit s": 0}, "less than or equal to the minimum of 0"),
     ],
 )
-def test_options_that_are_no_such_numbers_are_errors(made, options):
-    with pytest.raises(ConfigError, match="expected .*a positive number"):
+def test_options_that_are_no_such_numbers_are_errors(made, options, words):
+    with pytest.raises(ConfigError, match=words):
         filter_flight(*made, AIRFRAME, options)
 
 

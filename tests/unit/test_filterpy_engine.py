@@ -91,7 +91,7 @@ def test_a_flight_is_filtered_alike_by_either_engine():
     through = filter_flight(*made, quadrotor(), {**options, "engine": "filterpy"})
     assert compiled.metadata["engine"] == "compiled" and through.metadata["engine"].startswith("filterpy 2")
     np.testing.assert_allclose(through.with_gravity, compiled.with_gravity, atol=1e-6, rtol=1e-8)
-    with pytest.raises(ConfigError, match="'engine' is 'matlab', expected one of compiled, filterpy"):
+    with pytest.raises(ConfigError, match="'engine' is 'matlab', expected one of 'compiled', 'filterpy'"):
         filter_flight(*made, quadrotor(), {"engine": "matlab"})
 
 

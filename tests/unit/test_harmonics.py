@@ -9,9 +9,8 @@ from study import fly
 
 from quasi.airframe import read_airframe
 from quasi.errors import ConfigError
-from quasi.filtering import band as bands
 from quasi.filtering import forces, harmonics
-from quasi.filtering.flight import KALMAN_DEFAULTS, filter_flight
+from quasi.filtering.flight import filter_flight
 
 RATE = 500.0
 T = np.arange(10000) / RATE
@@ -249,14 +248,6 @@ def test_a_cutoff_beyond_half_the_logs_rate_is_said(made):
 def test_impossible_notches_are_sentences(made, options, words):
     with pytest.raises(ConfigError, match=words):
         filter_flight(*made, AIRFRAME, options)
-
-
-def test_defaults_are_those_of_the_schema():
-    from quasi.tables import read_json
-
-    keys = read_json("config/schemas/processing.schema.json")["properties"]["data filtering"]["properties"]
-    assert {k: keys[k]["default"] for k in KALMAN_DEFAULTS} == KALMAN_DEFAULTS
-    assert bands.check(KALMAN_DEFAULTS) is None
 
 
 @pytest.mark.parametrize("every", [5, 10])

@@ -16,6 +16,7 @@ SIDEWAYS = {
     "commands": STAGES | {"project", "quasi_synthesis"},
     "pages": {"terms"},
     "importing": {"project"},
+    "filtering": {"project"},
     "model": {"project"},
     "scoring": {"model"},
     "export": {"model"},

@@ -338,9 +338,9 @@ WRONG = {
     "unknown quantity 'battery_volts' (did you mean 'battery_voltage'": lambda p: p["sources"][1]["columns"].update(
         battery_volts="vbat"
     ),
-    "expected FRD or FLU": lambda p: p["sources"][0].update(frame="flu"),
-    "expected NED or z-up": lambda p: p["sources"][0].update(world="ENU"),
-    "unknown key 'colums' (did you mean 'columns'": lambda p: p["sources"][0].update(colums={}),
+    "expected one of 'FRD', 'FLU'": lambda p: p["sources"][0].update(frame="flu"),
+    "expected one of 'NED', 'z-up'": lambda p: p["sources"][0].update(world="ENU"),
+    "unknown key 'colums' in 'sources' / entry 1 (did you mean 'columns'": lambda p: p["sources"][0].update(colums={}),
     "qz is not": lambda p: p["sources"][0]["columns"].pop("qz"),
     "always in world axes": lambda p: p["sources"][0]["columns"]["x"].update(frame="body"),
     "neither it nor the table has a 'time'": lambda p: p.pop("time"),

@@ -15,13 +15,13 @@ some may be absent; body rates may be absent where an attitude is mapped, or a c
 `quasi.importing.reconstruction`).
 """
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
 from quasi.errors import ConfigError, nearest
 from quasi.importing.command_units import RANGES
 from quasi.importing.units import to_si
+from quasi.project import configuration
 
 VECTOR_COLUMNS = {
     "rates": ("p", "q", "r"),
@@ -100,31 +100,10 @@ class TableMapping:
         return self.clocks | {a for s in self.sources for column in s.columns.values() for a in column.aliases}
 
 
-def _keys(section: Any, allowed: tuple[str, ...], needed: tuple[str, ...], where: str) -> None:
-    if not isinstance(section, Mapping):
-        raise ConfigError(f"{where} must be a section {{ ... }}, found {section!r}")
-    for key in section:
-        if key not in allowed and not str(key).startswith("//"):
-            raise ConfigError(f"{where}: unknown key '{key}'{nearest(key, allowed)}")
-    for key in needed:
-        if key not in section:
-            raise ConfigError(f"{where}: the key '{key}' is missing; add it")
-
-
 def _clock(section: Any, where: str) -> tuple[str, float]:
     if isinstance(section, str):
         section = {"column": section}
-    _keys(section, ("column", "unit"), ("column",), where)
-    if not isinstance(section["column"], str):
-        raise ConfigError(f"{where}: 'column' must name one column, found {section['column']!r}")
-    return section["column"], to_si(str(section.get("unit", "s")), "s", where)
-
-
-def _choice(section: Mapping[str, Any], key: str, allowed: tuple[str, ...], where: str) -> str:
-    value = section.get(key, allowed[0])
-    if value not in allowed:
-        raise ConfigError(f"{where}: '{key}' is {value!r}, expected {' or '.join(allowed)}")
-    return value
+    return section["column"], to_si(section.get("unit", "s"), "s", where)
 
 
 def read_mapping(section: Any, poles: int | None, where: str, log_has_clock: bool = False) -> TableMapping:
@@ -134,10 +113,8 @@ def read_mapping(section: Any, poles: int | None, where: str, log_has_clock: boo
     log_has_clock  whether the log stamps its samples itself, so that sources need no column of time
     Raises   ConfigError naming source, quantity and key
     """
-    _keys(section, ("time", "sources"), ("sources",), where)
+    section, _ = configuration.check(section, "quadrotor", where, "properties", "table columns")
     clock = _clock(section["time"], f"{where}, time") if "time" in section else None
-    if not isinstance(section["sources"], list) or not section["sources"]:
-        raise ConfigError(f"{where}: 'sources' must be a list of at least one source")
     sources = [_source(item, poles, f"{where}, source {i + 1}") for i, item in enumerate(section["sources"])]
     names = [s.name for s in sources]
     if len(set(names)) < len(names):
@@ -166,20 +143,12 @@ def read_mapping(section: Any, poles: int | None, where: str, log_has_clock: boo
 
 
 def _source(section: Any, poles: int | None, where: str) -> Source:
-    _keys(section, ("name", "time", "frame", "world", "motion capture", "columns"), ("name", "columns"), where)
-    name = str(section["name"])
+    name = section["name"]
     where = f"{where} ('{name}')"
-    flu = _choice(section, "frame", ("FRD", "FLU"), where) == "FLU"
-    z_up = _choice(section, "world", ("NED", "z-up"), where) == "z-up"
+    flu, z_up = section.get("frame") == "FLU", section.get("world") == "z-up"
     capture = section.get("motion capture", False)
-    if not isinstance(capture, bool):
-        raise ConfigError(f"{where}: 'motion capture' is {capture!r}, expected true or false")
-    if not isinstance(section["columns"], Mapping) or not section["columns"]:
-        raise ConfigError(f"{where}: 'columns' must be a section that maps quantities to columns")
     columns: dict[str, Column] = {}
     for quantity, entry in section["columns"].items():
-        if str(quantity).startswith("//"):
-            continue
         if quantity not in UNIT:
             raise ConfigError(f"{where}: unknown quantity '{quantity}'{nearest(quantity, UNIT)}")
         columns[quantity] = _column(entry, quantity, poles, f"{where}, {quantity}")
@@ -207,10 +176,7 @@ def _source(section: Any, poles: int | None, where: str) -> Source:
 def _column(entry: Any, quantity: str, poles: int | None, where: str) -> Column:
     if isinstance(entry, str | list):
         entry = {"column": entry}
-    _keys(entry, ("column", "unit", "frame", "optional"), ("column",), where)
     aliases = [entry["column"]] if isinstance(entry["column"], str) else entry["column"]
-    if not isinstance(aliases, list) or not aliases or not all(isinstance(a, str) for a in aliases):
-        raise ConfigError(f"{where}: 'column' must be a name or a list of names, found {entry['column']!r}")
     if quantity.startswith("command"):
         unit = entry.get("unit")
         if unit is not None and unit not in RANGES:
@@ -218,7 +184,7 @@ def _column(entry: Any, quantity: str, poles: int | None, where: str) -> Column:
                 f"{where}: unknown unit '{unit}' of a motor command{nearest(str(unit), RANGES)}; one of "
                 f"{', '.join(RANGES)}, or leave it out to have it recognised"
             )
-        return Column(tuple(aliases), 1.0, True, bool(entry.get("optional", False)), unit)
+        return Column(tuple(aliases), 1.0, True, entry.get("optional", False), unit)
     factor = to_si(
         str(entry.get("unit", UNIT[quantity])), UNIT[quantity], where, poles if quantity[1:2].isdigit() else None
     )
@@ -227,8 +193,8 @@ def _column(entry: Any, quantity: str, poles: int | None, where: str) -> Column:
     if "frame" in entry:
         if vector is None:
             raise ConfigError(f"{where}: '{quantity}' is no vector and has no 'frame'; remove the key")
-        chosen = _choice(entry, "frame", ("world", "body"), where) == "body"
+        chosen = entry["frame"] == "body"
         if chosen != body and vector not in _MAY_TURN:
             raise ConfigError(f"{where}: {quantity} is always in {'body' if body else 'world'} axes; remove 'frame'")
         body = chosen
-    return Column(tuple(aliases), factor, body, bool(entry.get("optional", False)))
+    return Column(tuple(aliases), factor, body, entry.get("optional", False))

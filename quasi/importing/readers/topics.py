@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import Any
 
 from quasi.airframe import DEFAULT_POLES
-from quasi.errors import ConfigError
 from quasi.importing.clocks.filter_delays import USUAL_ACCELEROMETER, USUAL_GYRO, delay
 from quasi.importing.readers.known_topics import Known, plan_known
 from quasi.importing.readers.reader import Reader, Request
@@ -37,8 +36,6 @@ def topics_reader(
         mapping = request.quadrotor.get("table columns")
         if not isinstance(mapping, Mapping):
             chosen = request.quadrotor.get("log topics") or {}
-            if not isinstance(chosen, Mapping):
-                raise ConfigError(f"'log topics' is {chosen!r}, expected a section that names a topic for each role")
             mapping = plan_known(log.topics, known, chosen, request.path, notes)
         plan = read_mapping(mapping, request.poles or DEFAULT_POLES, "table columns", log_has_clock=True)
         signals = log.samples_of(plan.names, notes)

@@ -34,6 +34,7 @@ from quasi.simulation.control.outer_loop import (
     VELOCITY_SETPOINT,
 )
 from quasi.simulation.vehicle.dynamics import euler_angles
+from quasi.simulation.vehicle.sensors_and_wind import find_row
 
 HOVER_REFERENCE, STEPS_REFERENCE, EIGHT_REFERENCE, TABLE_REFERENCE, CIRCLE_REFERENCE = 0, 1, 2, 3, 4
 SETPOINT_KINDS = {
@@ -211,19 +212,6 @@ def evaluate_reference(kind, parameters, table, t, setpoint):
 
 
 @njit(cache=True, error_model="numpy")
-def _find_row(table, t):
-    """The last row at or before t; the first where t lies before all."""
-    low, high = 0, len(table)
-    while high - low > 1:
-        middle = (low + high) // 2
-        if table[middle, 0] <= t:
-            low = middle
-        else:
-            high = middle
-    return low
-
-
-@njit(cache=True, error_model="numpy")
 def ease_transition(x, duration):
     """Share of a transition at the part x of it, and its first two derivatives by time."""
     if x >= 1.0 or duration <= 0.0:
@@ -235,7 +223,7 @@ def ease_transition(x, duration):
 
 @njit(cache=True, error_model="numpy")
 def _evaluate_steps(parameters, table, t, setpoint):
-    row = _find_row(table, t)
+    row = find_row(table, t)
     for k in range(1, SETPOINT_SIZE):
         setpoint[k] = table[row, k]
     setpoint[SETPOINT_KIND] = parameters[0]
@@ -352,7 +340,7 @@ def _evaluate_table(parameters, table, t, setpoint):
             for k in range(3):
                 setpoint[SETPOINT_VELOCITY + k] = setpoint[SETPOINT_ACCELERATION + k] = 0.0
         return
-    row = _find_row(table, t)
+    row = find_row(table, t)
     h = table[row + 1, 0] - table[row, 0]
     x = (t - table[row, 0]) / h
     for k in range(1, SETPOINT_SIZE):

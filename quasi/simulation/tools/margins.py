@@ -13,8 +13,7 @@ from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit
-from scipy.linalg import expm, schur
+from scipy.linalg import expm, schur, solve_triangular
 
 from quasi.attitude import GRAVITY, exponential, rotate_inverse
 from quasi.errors import ConfigError
@@ -271,28 +270,9 @@ def _compute_response(loop: Loop, frequencies: np.ndarray) -> np.ndarray:
     """Loop transfer (F, 4, 4), negative feedback counted in: -1 is the critical point."""
     # one Schur form serves all frequencies, and does not mind repeated eigenvalues (rows of integrators)
     triangle, turn = schur(loop.a, output="complex")
-    out = np.empty((len(frequencies), 4, 4), complex)
-    _solve_at(triangle, turn.conj().T @ loop.b, loop.c @ turn, np.exp(1j * frequencies * loop.dt), out)
-    return out
-
-
-@njit(cache=True)
-def _solve_at(triangle, left, right, z, out):
-    """out[f] = -right (z[f] - triangle)^-1 left, triangle (n, n) upper triangular."""
-    n = len(triangle)
-    x = np.empty((n, left.shape[1]), np.complex128)
-    for f in range(len(z)):
-        for j in range(left.shape[1]):
-            for i in range(n - 1, -1, -1):
-                value = left[i, j]
-                for k in range(i + 1, n):
-                    value += triangle[i, k] * x[k, j]
-                x[i, j] = value / (z[f] - triangle[i, i])
-            for i in range(len(right)):
-                value = 0j
-                for k in range(n):
-                    value -= right[i, k] * x[k, j]
-                out[f, i, j] = value
+    left, right, identity = turn.conj().T @ loop.b, loop.c @ turn, np.eye(len(triangle))
+    z = np.exp(1j * frequencies * loop.dt)
+    return np.array([-right @ solve_triangular(p * identity - triangle, left, check_finite=False) for p in z])
 
 
 def _open_one_loop(loop: np.ndarray, k: int) -> np.ndarray:

@@ -151,6 +151,19 @@ def add_sensor_noise(x, fx, fy, fz, sensors, speeds, random, random_numbers, mea
 
 
 @njit(cache=True, error_model="numpy")
+def find_row(table, t):
+    """The last row at or before t; the first where t lies before all."""
+    low, high = 0, len(table)
+    while high - low > 1:
+        middle = (low + high) // 2
+        if table[middle, 0] <= t:
+            low = middle
+        else:
+            high = middle
+    return low
+
+
+@njit(cache=True, error_model="numpy")
 def interpolate_table(table, t, out):
     """Interpolate table (T, 1 + n) linearly at time t, constant beyond the ends, into out (n,)."""
     last = len(table) - 1
@@ -162,16 +175,10 @@ def interpolate_table(table, t, out):
         for k in range(len(out)):
             out[k] = table[last, 1 + k]
         return
-    low, high = 0, last
-    while high - low > 1:
-        middle = (low + high) // 2
-        if table[middle, 0] <= t:
-            low = middle
-        else:
-            high = middle
-    share = (t - table[low, 0]) / (table[high, 0] - table[low, 0])
+    row = find_row(table, t)
+    share = (t - table[row, 0]) / (table[row + 1, 0] - table[row, 0])
     for k in range(len(out)):
-        out[k] = (1.0 - share) * table[low, 1 + k] + share * table[high, 1 + k]
+        out[k] = (1.0 - share) * table[row, 1 + k] + share * table[row + 1, 1 + k]
 
 
 @njit(cache=True, error_model="numpy")
