@@ -324,11 +324,13 @@ def jsbsim_cases() -> dict[str, Case]:
                                         change={"change": scaled("ixx", 1.4, ALL)}),
         "air warmer by 25 K": Case(("thrust_factor",), ("torque_factor", "axial_inflow", "body_drag"),
                                    {"factor": 0.92}, warm),
-        # of the catalogue's causes none: measured speeds hold, and these are findings at most
+        # of the catalogue's causes none: measured speeds hold, and a weaker motor is a finding
         "volts x 0.93": Case(may_miss=True, change={"change": scaled("maxvolts", 0.93, ALL)}),
-        "resistance of motor 2 x 1.5": Case(also=("motor_lag",), may_miss=True,
+        "resistance of motor 2 x 1.5": Case(("motor_lag",), may_miss=True,
                                             change={"change": scaled("coilresistance", 1.5, (2,))}),
-        "turbulence": Case(may_miss=True, change={"properties": turbulence}),
+        # drag with the square of airspeed is steeper in gusts
+        "turbulence": Case(also=("body_drag", "rotor_drag"), may_miss=True, unexplained=True,
+                           change={"properties": turbulence}),
         **unlisted_cases(2.0),
         **sensor_cases(),
     }  # fmt: skip
