@@ -12,7 +12,7 @@ from quasi.gap.catalogue import catalogue, whole_of
 from quasi.gap.effect import Limits, vehicle_of
 from quasi.gap.extension import extend
 from quasi.gap.flights.instruments import reread
-from quasi.gap.levels.forces import held_out
+from quasi.gap.levels.forces import held_out, nonlinear
 from quasi.gap.levels.forces import identify as examination
 from quasi.gap.levels.forces import search as sought
 from quasi.gap.levels.forces.design import gather_design, refit
@@ -439,6 +439,6 @@ def test_weaker_rotors_and_less_inertia_in_proportion_may_be_another_mass(share,
 
 def test_a_component_that_is_not_there_moves_a_wind_by_little():
     old, new = {"north": 2.4, "east": -1.8, "down": -0.6}, {"north": 2.4, "east": -1.8, "down": 0.0}
-    assert sought._moved(catalogue()["wind"], new, old) == pytest.approx(0.6 / np.sqrt(2.4**2 + 1.8**2 + 0.6**2))
-    assert sought._moved(catalogue()["wind"], {}, old) == pytest.approx(1.0)
-    assert sought._moved(catalogue()["rotor_speed_scale"], {"scale": 0.03}, {"scale": 0.02}) == pytest.approx(0.5)
+    assert nonlinear.distance(catalogue()["wind"], new, old) == pytest.approx(0.6 / np.sqrt(2.4**2 + 1.8**2 + 0.6**2))
+    assert nonlinear.distance(catalogue()["wind"], {}, old) == pytest.approx(1.0)
+    assert nonlinear.distance(catalogue()["rotor_speed_scale"], {"scale": 0.03}, {"scale": 0.02}) == pytest.approx(0.5)

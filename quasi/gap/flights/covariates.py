@@ -14,7 +14,7 @@ CONSTANT_SPREAD = 0.02  # a variable whose scaled spread is smaller is as good a
 HEADING, ROOM_PLACE, EVERYWHERE = "heading", "room place", "everywhere"
 UNPLACED = "no place"  # where an error lives that no place orders
 IN_TIME = "frequency"  # where one lives that repeats in time
-SAID = {EVERYWHERE: EVERYWHERE, UNPLACED: "beyond what the reference flights leave", IN_TIME: "as a vibration does"}
+IN_WORDS = {EVERYWHERE: EVERYWHERE, UNPLACED: "beyond what the reference flights leave", IN_TIME: "as a vibration does"}
 DIRECTED = ("forward speed", "sideways speed", "downward speed")  # along the body's axes
 # what a model's terms depend on; the voltage falls with what the rotors draw
 OWN_COVARIATES = ("speed", *DIRECTED, "rotor speed", "descent ratio", "roll rate", "pitch rate", "yaw rate", "volts")
@@ -45,7 +45,7 @@ UNITS_AT = {
 
 def where_in_words(where: str) -> str:
     """Where an error lives, in words that follow "differs"."""
-    return SAID.get(where) or f"along the {where}"
+    return IN_WORDS.get(where) or f"along the {where}"
 
 
 def along(columns: Mapping[str, np.ndarray], hover: float, down: np.ndarray | None = None) -> dict[str, np.ndarray]:
