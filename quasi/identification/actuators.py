@@ -6,6 +6,8 @@
 The equation is run over the flight and its speed compared with the measured one (output error), so that noise of the
 measured speed does not bias the constants, as it does where measured speeds stand on both sides of a regression.
 Commands and speeds must have gone through the same filter; a filter of both leaves the equation as it is.
+Where disturbances of the rotors come back as commands of the controller, lag and delay are biased all the same; gaps
+use `quasi.gap.levels.drive.prediction`.
 
 Source: QuaSI user manual V1.0.a, listing 4 ("show actuator constant estimation"); Klein & Morelli, Aircraft System
 Identification, 2006, section 6.3 (output error by modified Newton-Raphson).

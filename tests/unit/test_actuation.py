@@ -188,8 +188,8 @@ def test_a_model_that_tells_whether_its_delay_holds_the_age_is_compared_like_wit
 
     def beyond(level):
         """Error of the speeds before, beside what the flights' own constants leave."""
-        channels = level.tables["channels"]
-        return float((channels["before"] / channels["floor"]).max())
+        squares = level.tables["channels"][["before", "floor"]].pow(2).mean()
+        return float(squares["before"] / squares["floor"])
 
     told, silent = examined({**delay, TELEMETRY_AGE_REMOVED: aged}), examined(delay)
     assert not told.effects and not told.ties

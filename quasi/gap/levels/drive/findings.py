@@ -104,7 +104,7 @@ def weak(flights: Sequence[Flown], fits: Sequence[DriveFit]) -> list[dict[str, A
 
 def slow(flights: Sequence[Flown], fits: Sequence[DriveFit]) -> list[dict[str, Any]]:
     """A rotor that follows its commands later (or sooner) than the others do, beyond the reference flights."""
-    odd = _odd_rotor(flights, np.log([d.lags for d in fits]), np.hypot(LAGS_ALIKE, [d.lag_errors() for d in fits]))
+    odd = _odd_rotor(flights, np.log([d.lags for d in fits]), np.hypot(LAGS_ALIKE, [d.lag_errors for d in fits]))
     if odd is None:
         return []
     i, size, std = odd

@@ -1,33 +1,29 @@
-"""How one flight's rotors follow their commands: constants by output error, residuals and their slopes.
+"""How one flight's rotors follow their commands: constants, residuals and their slopes.
 
 Speed follows the commanded one with a first-order lag of its own for speeding up and slowing down, late by one delay;
 the commanded speed is a map of the command share and of the battery's voltage, or of a commanded speed itself. What is
 wrong in the fit is linear in the slopes, so that flights can be compared on cross-products.
-Source: Klein & Morelli, Aircraft System Identification, 2006, section 6.3 (output error).
 """
 
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.optimize import minimize_scalar
 
 from quasi.errors import DataError
 from quasi.gap.flights.evidence import RATE
 from quasi.gap.flights.level import Flown
-from quasi.identification.actuators import STRETCH_WARM_UP, fit_damped, follow, slopes_of
+from quasi.gap.levels.drive.prediction import Prediction
+from quasi.gap.statistics.whitening import thin
 from quasi.identification.regression import bartlett
 from quasi.importing.command_fit import RESIDUAL_MEMORY
 from quasi.model.extensions import are_estimated, drive_of
 from quasi.tables import TELEMETRY_AGE_REMOVED
-from quasi.terms.rotor_map import COMMANDED, LOW_VOLTAGE, SHARES, SPEEDS
+from quasi.terms.rotor_map import COMMANDED, SHARES, SPEEDS
 
-DRIVE_ITERATIONS = 12
-FEWEST_DRIVE_ROWS = 300  # rows
+DRIVE_BAND = 0.4 * RATE  # Hz, as import resamples
 LEAST_DRIVE_NOISE = 0.1  # rad/s: no residual is known better
 LEAST_SAG = 0.003  # natural log of the voltage: below this variation within a flight the exponent is not estimated
-LEAST_LAG, MOST_LAG, EARLIEST, LATEST = 0.002, 0.4, -0.03, 0.1  # s
-OWN_LAG = (0.2, 5.0)  # times the common time constants, between which a rotor's own are sought
 # parameters in order: time constants, delay, map, battery exponent, each rotor's speed relative to the common map
 CONSTANTS = ("up", "down", "delay", "a0", "a1", "a2", "exponent", "rotor1", "rotor2", "rotor3", "rotor4")
 DIFFERENCES = np.array([5e-4, 5e-4, 3e-4, 2.0, 20.0, 20.0, 0.02, 0.002, 0.002, 0.002, 0.002])
@@ -49,22 +45,26 @@ class Belief(NamedTuple):
 class DriveFit(NamedTuple):
     """One flight at its best constants.
 
-    values (11,) by CONSTANTS; t (n,) s; breaks (n,) bool; residual (n, 4) rad/s; slopes (n, 4, 11) of modelled speed
+    values (11,) by CONSTANTS; t (n,) s at `rate` Hz; residual (n, 4) rad/s, what of the error the
+    errors before do not predict; slopes (n, 4, 11) of the predicted speed
     held (11,) rad2/s2 per unit squared: how strongly each value was held where the fit began; noise rad/s that weighed
     the residual against that
-    lags (4,)  each rotor's own time constants as multiples of `values`
+    lags (4,)  each rotor's own time constants as multiples of `values`; lag_errors (4,)  of their logarithms
+    plain (11,)  the constants by output error
     """
 
     key: str
     values: np.ndarray
     t: np.ndarray
-    breaks: np.ndarray
     residual: np.ndarray
     slopes: np.ndarray
     volts_vary: bool
     held: np.ndarray
     noise: float
     lags: np.ndarray
+    lag_errors: np.ndarray
+    rate: float
+    plain: np.ndarray
 
     def covariance(self) -> np.ndarray:
         """Of the values (11, 11), whatever the residuals remember and however they depart from a lag of first order.
@@ -73,18 +73,29 @@ class DriveFit(NamedTuple):
         """
         inverse = self._inverse()
         scores = np.einsum("ncp,nc->np", self.slopes, self.residual)
-        meat = bartlett(scores, [np.arange(len(scores))], round(RESIDUAL_MEMORY * RATE))
+        meat = bartlett(scores, [np.arange(len(scores))], round(RESIDUAL_MEMORY * self.rate))
         flat = self.slopes.reshape(-1, len(CONSTANTS))
         # a value that is only held may be off by its looseness, noise / sqrt(held)
         return inverse @ (meat + LEAST_DRIVE_NOISE**2 * flat.T @ flat + self.noise**2 * np.diag(self.held)) @ inverse
 
-    def lag_errors(self) -> np.ndarray:
-        """Standard errors (4,) of the logarithms of `lags`, as `covariance` has them."""
-        columns = self.slopes[:, :, :2] @ self.values[:2]  # rad/s per unit of the logarithm
-        lags = round(RESIDUAL_MEMORY * RATE)
-        meat = [bartlett(s[:, None], [np.arange(len(s))], lags)[0, 0] for s in (columns * self.residual).T]
-        known = np.sum(columns**2, axis=0)
-        return np.sqrt(np.array(meat) + LEAST_DRIVE_NOISE**2 * known) / np.maximum(known, 1e-300)
+    def in_band(self) -> "DriveFit":
+        """With residual and slopes in the band of a comparison at RATE, and not many more rows: how large errors are.
+
+        What is new is white, and would drown what a cause does to speeds in noise of the whole band of the telemetry.
+        """
+        if self.rate <= 2.0 * DRIVE_BAND:
+            return self
+        columns = np.concatenate([self.residual[:, :, None], self.slopes], axis=2)
+        some = thin(columns, self.breaks(), self.t, DRIVE_BAND, 1)
+        if len(some.rows) < 2:
+            return self
+        residual, slopes = some.columns[:, :, 0], some.columns[:, :, 1:]
+        rate = 1.0 / float(np.median(np.diff(self.t[some.rows])))
+        return self._replace(t=self.t[some.rows], residual=residual, slopes=slopes, rate=rate)
+
+    def breaks(self) -> np.ndarray:
+        """True (n,) where a stretch without gaps begins."""
+        return np.diff(self.t, prepend=-np.inf) > 1.5 / self.rate
 
     def moves(self, seconds: float) -> np.ndarray:
         """What each block of the flight adds to the values (B, 11), to first order; they sum to nothing much."""
@@ -162,72 +173,32 @@ def belief_of(document: Mapping[str, Any], kind: str) -> Belief | None:
 def fit_drive(flown: Flown, kind: str, start: Belief) -> DriveFit:
     """The flight's own constants, near `start`. Raises DataError when it flies too little or lacks a column."""
     frame = flown.filtered
-    t = frame["t"].to_numpy(float)
-    dt = float(np.median(np.diff(t)))
     if commanded(flown) != kind or not kind:
         raise DataError(f"flight {flown.key} has no rotor commands of the kind that the others log")
-    command = np.stack([frame[c] for c in (COMMANDED if kind == "speeds" else SHARES)], axis=1)
     # a speed that was made of the commands follows them by its map, and says nothing of the rotor
     if not all(w in frame for w in SPEEDS) or are_estimated(frame):
         raise DataError(f"flight {flown.key} has no measured rotor speeds")
-    speed = np.stack([frame[w] for w in SPEEDS], axis=1)
+    command, speed = (
+        flown.imported[list(names)].to_numpy(float) for names in (COMMANDED if kind == "speeds" else SHARES, SPEEDS)
+    )
     volts = voltage_of(flown) if kind == "shares" and start.voltage else None
-    finite = np.isfinite(command).all(axis=1) & np.isfinite(speed).all(axis=1)
-    ratio = np.zeros(len(t))
-    if volts is not None:
-        finite &= np.isfinite(volts) & (volts > LOW_VOLTAGE * start.voltage)
-        ratio = np.log(np.where(finite, volts, start.voltage) / start.voltage)
-    begins = ~finite | ~np.concatenate([[False], finite[:-1]])
-    age = np.arange(len(t)) - np.maximum.accumulate(np.where(begins, np.arange(len(t)), 0))
-    use = finite & (age * dt > STRETCH_WARM_UP)
-    if "valid" in frame:
-        use &= frame["valid"].to_numpy() > 0.5
-    every = max(round(1.0 / (RATE * dt)), 1)
-    rows = np.arange(0, len(t), every)
-    rows = rows[use[rows]]
-    if len(rows) < FEWEST_DRIVE_ROWS:
-        raise DataError(
-            f"flight {flown.key} has {len(rows) / RATE:.1f} s of flight with commands and measured rotor speeds, "
-            f"expected at least {FEWEST_DRIVE_ROWS / RATE:.0f} s"
-        )
-    command, speed = (np.where(finite[:, None], x, 0.0) for x in (command, speed))
-    buffer = np.empty(len(t))
-
-    def one(i: int, x: np.ndarray) -> np.ndarray:
-        c = np.ascontiguousarray(command[:, i])
-        wanted = (1.0 + x[7 + i]) * np.exp(x[6] * ratio) * (x[3] + x[4] * c + x[5] * c * c)
-        follow(wanted, np.ascontiguousarray(speed[:, i]), begins, x[2] / dt, dt, x[0], x[1], buffer)
-        return buffer[rows]
-
-    def run(x: np.ndarray) -> np.ndarray:
-        return np.stack([one(i, x) for i in range(4)], axis=1)
-
-    def own_lag(i: int, x: np.ndarray) -> float:
-        def left(log: float) -> float:
-            return float(np.sum((target[:, i] - one(i, np.concatenate([np.exp(log) * x[:2], x[2:]]))) ** 2))
-
-        return float(np.exp(minimize_scalar(left, bounds=np.log(OWN_LAG), method="bounded").x))
-
-    low = np.concatenate([[LEAST_LAG, LEAST_LAG, EARLIEST], np.full(8, -np.inf)])
-    high = np.concatenate([[MOST_LAG, MOST_LAG, LATEST], np.full(8, np.inf)])
+    log = Prediction(flown, command, speed, volts, start.voltage)
     step = DIFFERENCES if kind == "shares" else np.concatenate([DIFFERENCES[:3], [2.0, 0.01, 1e-6], DIFFERENCES[6:]])
     loose = LOOSE if kind == "shares" else np.concatenate([LOOSE[:3], [200.0, 0.3, 1e-9], LOOSE[6:]])
     loose = np.where(np.arange(len(CONSTANTS)) == 6, loose if volts is not None else 1e-6, loose)
-    target = speed[rows]
-    noise = max(0.02 * float(np.std(target)), 1.0)  # rad/s, weighs the looseness against the data
+    noise = max(0.02 * float(np.std(log.target)), 1.0)  # rad/s, weighs the looseness against the data
+    plain, x = log.fit(start.values, loose, noise, step)
+    own = [log.own_lag(i, x) for i in range(4)]
+    return DriveFit(
+        flown.key, x, log.t[log.kept()], log.errors(x),
+        log.slopes(x, step), volts is not None and float(np.std(log.ratio[log.rows])) > LEAST_SAG,
+        (noise / loose) ** 2, noise, np.array([factor for factor, *_ in own]),
+        np.array([_lag_error(error, slope, log.rate) for _, error, slope in own]), log.rate, plain,
+    )  # fmt: skip
 
-    def weighed(speeds: np.ndarray, x: np.ndarray) -> np.ndarray:
-        return np.concatenate([speeds.ravel() / noise, x / loose])
 
-    begin = start.values.copy()
-    begin[:3] = np.clip(begin[:3], low[:3] + 1e-3, high[:3])
-    x, _, _ = fit_damped(
-        lambda x: weighed(run(x), x), weighed(target, start.values), begin, (low, high), step, DRIVE_ITERATIONS
-    )
-    here = run(x)
-    slopes = slopes_of(lambda x: run(x).ravel(), x, here.ravel(), step).reshape(*here.shape, len(x))
-    breaks = np.concatenate([[True], np.diff(rows) > every])
-    vary = volts is not None and float(np.std(ratio[rows])) > LEAST_SAG
-    held = (noise / loose) ** 2
-    lags = np.array([own_lag(i, x) for i in range(4)])
-    return DriveFit(flown.key, x, t[rows], breaks, target - here, slopes, vary, held, noise, lags)
+def _lag_error(error: np.ndarray, slope: np.ndarray, rate: float) -> float:
+    """Standard error of the logarithm of a rotor's own lag, as `DriveFit.covariance` has it. error, slope (n,)"""
+    rows, known = np.arange(len(slope)), float(slope @ slope)
+    meat = bartlett((slope * error)[:, None], [rows], round(RESIDUAL_MEMORY * rate))[0, 0]
+    return float(np.sqrt(meat + LEAST_DRIVE_NOISE**2 * known) / max(known, 1e-300))

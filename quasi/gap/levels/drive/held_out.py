@@ -7,7 +7,7 @@ import numpy as np
 
 from quasi.gap.flights.level import Flown, by_cause, causes_of, values_of
 from quasi.gap.levels.drive.fit import CONSTANTS, Belief, DriveFit, commanded, fit_drive
-from quasi.gap.levels.drive.identify import DRIVE_CAUSES, LATE, NORMAL, whole
+from quasi.gap.levels.drive.identify import DRIVE_CAUSES, LATE, usual_spreads, whole
 from quasi.gap.materiality import Gain, LinearErrors, each_usable, gains_of, without_nuisances
 
 
@@ -21,8 +21,9 @@ def gains(
     reference = Belief(np.array(healthy["values"], float), healthy["voltage"])
 
     def errors(flown: Flown) -> LinearErrors:
-        fit = fit_drive(flown, commanded(flown), reference)
-        slopes = fit.slopes @ _without_nuisances(fit, reference, causes_of(entries))
+        whole_band = fit_drive(flown, commanded(flown), reference)
+        fit = whole_band.in_band()
+        slopes = fit.slopes @ _without_nuisances(whole_band, reference, causes_of(entries))
         return LinearErrors(fit.residual + slopes @ (whole(flown, fit) - reference.values), fit.residual, slopes)
 
     sizes = {cause: _deviations(cause, of, reference.values) for cause, of in by_cause(entries).items()}
@@ -32,8 +33,8 @@ def gains(
 def _without_nuisances(fit: DriveFit, reference: Belief, own: set[str]) -> np.ndarray:
     """(11, 11): columns times this have the flight's usual nuisances taken off, all but those of the `own` causes."""
     named = {n for c in own for n in DRIVE_CAUSES.get(c, ())} | ({"delay"} if own & LATE else set())
-    scale = {"up": reference.values[0], "down": reference.values[1]}
-    spread = {k: NORMAL[n] * scale.get(n, 1.0) for k, n in enumerate(CONSTANTS) if n in NORMAL and n not in named}
+    usual = usual_spreads(reference.values, 1.0 / fit.rate)
+    spread = {k: usual[n] for k, n in enumerate(CONSTANTS) if n in usual and n not in named}
     return without_nuisances(np.linalg.inv(fit.covariance()), spread)
 
 

@@ -1,8 +1,9 @@
 """Drive: how the rotors follow their commands, from commands and measured rotor speeds alone.
 
-Each flight's constants are found by output error, as a model's are; then they are compared with the model's and with
-one another, with what motors and telemetry differ in between flights as nuisance. A late command and
-late telemetry look the same here; what import found of the telemetry's age on its own, from the motion, splits them.
+Each flight's constants are those that predict its speeds best; then they are compared with the model's and with
+one another, with what motors and telemetry differ in between flights as nuisance. A model's constants were found by
+output error, so they count with what prediction finds differently in the flights at hand. A late command and late
+telemetry look the same here; what import found of the telemetry's age on its own, from the motion, splits them.
 """
 
 from collections.abc import Mapping, Sequence
@@ -18,7 +19,6 @@ from quasi.gap.flights.residual_tables import Residuals, level_tables
 from quasi.gap.levels.drive.findings import LAGS_ALIKE, saturated, slow, weak
 from quasi.gap.levels.drive.fit import (
     CONSTANTS,
-    RATE,
     Belief,
     DriveFit,
     belief_of,
@@ -87,8 +87,8 @@ def examine(flights: Sequence[Flown], document: Mapping[str, Any], options: Mapp
         level.cannot_be_asked += [{"id": c, "why": why} for c in asked]
         return level
     constants = [whole(f, d) for f, d in zip(used, fits)]
+    first = [k for k, f in enumerate(used) if not f.compared] or list(range(len(used)))
     if belief is None or not is_known:
-        first = [k for k, f in enumerate(used) if not f.compared] or list(range(len(used)))
         middle = np.median([constants[k] for k in first], axis=0)
         # reference flights of constant voltage have no information on the battery, so its exponent is no change
         informative = [k for k in first if fits[k].volts_vary] or [k for k, d in enumerate(fits) if d.volts_vary]
@@ -102,6 +102,7 @@ def examine(flights: Sequence[Flown], document: Mapping[str, Any], options: Mapp
         # flights are compared with the age of their telemetry in the delay; an older model does not say if its own is
         at = belief.values.copy()
         at[2] += {True: 1.0, False: 0.0, None: 0.5}[belief.aged] * USUAL_AGE
+        at[:3] += np.median([(fits[k].values - fits[k].plain)[:3] for k in first], axis=0)
         reference = belief._replace(values=at)
     if kind == "speeds" or not any(d.volts_vary for f, d in zip(used, fits) if f.compared):
         why = ("commands are speeds, which the speed controllers hold whatever the battery" if kind == "speeds"
@@ -117,10 +118,11 @@ def examine(flights: Sequence[Flown], document: Mapping[str, Any], options: Mapp
     ]
 
     doubt = _doubt(document)
+    usual = usual_spreads(reference.values, 1.0 / min(d.rate for d in fits))
     sessions = [(options.get("sessions") or {}).get(f.key, "") for f in used]
 
     def build(grams: list[np.ndarray]) -> SensorMixedModel:
-        return _mixed(grams, compared, asked, reference, doubt, sessions)
+        return _mixed(grams, compared, asked, reference, doubt, sessions, usual)
 
     mixed = build([p.gram() for p in products])
     level.tests = mixed
@@ -204,6 +206,18 @@ def _doubt(document: Mapping[str, Any]) -> float:
     return float(np.hypot(1.0, max(shares, default=0.0) / BELIEVED["up"]))
 
 
+def usual_spreads(values: np.ndarray, interval: float) -> dict[str, float]:
+    """What constants near `values` (11,) differ by between healthy flights with a sample each `interval` s, by NORMAL.
+
+    When between two samples a command changed, nobody knows: a uniform distribution, of the interval over sqrt(12). By
+    as much, lags and delay may differ with the manoeuvre.
+    """
+    unknown = interval / np.sqrt(12.0)
+    own = {"up": (values[0], unknown), "down": (values[1], unknown), "delay": (1.0, unknown)}
+    spreads = {n: (s, *own.get(n, (1.0, 0.0))) for n, s in NORMAL.items()}
+    return {n: float(np.hypot(share * unit, timing)) for n, (share, unit, timing) in spreads.items()}
+
+
 def _age(flown: Flown) -> tuple[float, float, float | None]:
     """Seconds that import took off the rotor telemetry; what the motion says of its age, total, and the doubt."""
     found = flown.metadata.get("rotor telemetry") or {}
@@ -249,7 +263,7 @@ def whole(flown: Flown, fit: DriveFit) -> np.ndarray:
 
 def _mixed(
     grams: Sequence[np.ndarray], compared: np.ndarray, asked: Sequence[str], reference: Belief,
-    doubt: float, sessions: Sequence[str],
+    doubt: float, sessions: Sequence[str], usual: Mapping[str, float],
 ) -> SensorMixedModel:  # fmt: skip
     place = {name: 1 + i for i, name in enumerate([*CONSTANTS, "late"])}
     scale = {"up": reference.values[0], "down": reference.values[1]}
@@ -257,7 +271,7 @@ def _mixed(
     own = [name for names in (DRIVE_CAUSES[c] for c in asked) for name in names]
     source = list(range(width)) + [place[n] for n in NORMAL] + [place[n] for n in BELIEVED]
     # the least spread between flights that a test allows for is as large again as a flight's own doubt
-    spread = [s * scale.get(n, 1.0) / (np.sqrt(2.0) if n in own else 1.0) for n, s in NORMAL.items()]
+    spread = [s / (np.sqrt(2.0) if n in own else 1.0) for n, s in usual.items()]
     nuisance = list(range(width, width + len(NORMAL)))
     shared = list(range(width + len(NORMAL), len(source)))
     known = BELIEVED if reference.aged is None else {**BELIEVED, "delay": AGE_SPREAD}
@@ -295,9 +309,10 @@ def _parameters(
 def _tables(level: Level, used: Sequence[Flown], fits: Sequence[DriveFit], apart: Sequence[np.ndarray]) -> None:
     """Tables of measured minus modelled speeds, see `level_tables`. apart  (11,) per flight: minus the reference's"""
     residuals, parameters = [], []
-    for flown, fit, away in zip(used, fits, apart):
-        series = {"before": fit.residual + fit.slopes @ away, "floor": fit.residual}
-        residuals.append(Residuals(series, fit.t, fit.breaks))
+    bands = [fit.in_band() for fit in fits]
+    for flown, fit, some, away in zip(used, fits, bands, apart):
+        series = {"before": some.residual + some.slopes @ away, "floor": some.residual}
+        residuals.append(Residuals(series, some.t, some.breaks()))
         held = fit.slopes.reshape(-1, len(CONSTANTS)).any(axis=0)
         parameters += [
             {"flight": flown.key, "compared": flown.compared, "parameter": name, "value": float(value),
@@ -306,4 +321,4 @@ def _tables(level: Level, used: Sequence[Flown], fits: Sequence[DriveFit], apart
             if known
         ]  # fmt: skip
     units = dict.fromkeys(ROTORS, "rad/s")
-    level.tables, level.noise_floor = level_tables(used, residuals, units, pd.DataFrame(parameters), RATE)
+    level.tables, level.noise_floor = level_tables(used, residuals, units, pd.DataFrame(parameters), bands[0].rate)

@@ -1,0 +1,238 @@
+"""Rotor speeds of one flight predicted from its commands and from its past errors, and the constants that do it best.
+
+What disturbs a rotor turns the vehicle; through gyro and controller it changes the commands that follow. Output error
+compares speeds with what the commands alone make. It takes a part of the disturbance for an answer to the command, by
+which lag and delay come out wrong, and differently in each manoeuvre. So what the errors before predict of an error is
+taken off it. What is left is new: commands that were given before cannot depend on it. Noise of the telemetry has no
+memory, nothing is predicted of it, and the fit is one by output error.
+
+Commands and speeds are those that were logged. A low-pass without delay mixes in noise to come. So do the straight
+lines that import draws between samples, by half an interval; `identify.usual_spreads` allows for that.
+Sources: Ljung, System Identification, 2nd ed., 1999, chapter 13 (direct identification in closed loop); Soederstrom &
+Stoica, System Identification, 1989, chapters 7 (errors made white by an autoregression, in turns) and 10.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+from scipy.optimize import minimize_scalar
+from scipy.signal import lfilter
+
+from quasi.errors import DataError
+from quasi.gap.flights.evidence import RATE
+from quasi.gap.flights.level import Flown
+from quasi.gap.statistics.whitening import Whitener, autoregression, whiten
+from quasi.identification.actuators import STRETCH_WARM_UP, fit_damped, follow, slopes_of
+from quasi.terms.rotor_map import LOW_VOLTAGE
+
+AR_ORDER = 8  # of the autoregression, as of the sensors' (`quasi.gap.levels.sensors.products`)
+DRIVE_ITERATIONS = 12
+SEARCHES = 2  # of the delay: the second begins with errors that the first has set right
+LEAST_DRIVEN = 3.0  # s
+LEAST_LAG, MOST_LAG, EARLIEST, LATEST = 0.002, 0.4, -0.03, 0.1  # s
+TRIED_LAGS = np.geomspace(LEAST_LAG, MOST_LAG, 9)  # s, about twice as long each time
+OWN_LAG = (0.2, 5.0)  # times the common time constants, between which a rotor's own are sought
+LAG_STEP = 0.01  # of a logarithm, over which a slope is taken
+DELAY = 2  # place of the delay among the constants
+
+
+class Prediction:
+    """Of a flight's rotor speeds by constants x (11,), see `fit.CONSTANTS`.
+
+    t (n,) s, dt its step; rows  places of the samples of the telemetry that are compared, `every` steps apart, at
+    `rate` Hz; memory (order + 1,)  weights of an error and of the errors before it in what is new
+    ratio (n,)  logarithm of the voltage over that at which the map holds; None where the speed does not go with it
+    """
+
+    def __init__(
+        self, flown: Flown, command: np.ndarray, speed: np.ndarray, volts: np.ndarray | None, voltage: float | None
+    ) -> None:
+        """command, speed (n, 4) as logged; volts (n,) V, voltage  at which the map holds.
+
+        Raises DataError where the flight is too short.
+        """
+        self.memory = np.ones(1)  # output error
+        self.t = flown.filtered["t"].to_numpy(float)
+        self.dt = float(np.median(np.diff(self.t)))
+        finite = np.isfinite(command).all(axis=1) & np.isfinite(speed).all(axis=1)
+        self.ratio = None
+        if volts is not None:
+            finite &= np.isfinite(volts) & (volts > LOW_VOLTAGE * voltage)
+            self.ratio = np.log(np.where(finite, volts, voltage) / voltage)
+        self.begins = ~finite | ~np.concatenate([[False], finite[:-1]])
+        use = finite & (_since(self.begins) * self.dt > STRETCH_WARM_UP)
+        if "valid" in flown.filtered:
+            use &= flown.filtered["valid"].to_numpy() > 0.5
+        logged = ((flown.metadata.get("streams") or {}).get("rotor speeds") or {}).get("rate")
+        self.every = max(round(1.0 / (logged * self.dt)), 1) if logged else 1  # import draws lines between samples
+        self.rate = 1.0 / (self.every * self.dt)
+        rows = np.arange(0, len(self.t), self.every)
+        self.rows = rows[use[rows]]
+        self.breaks = np.concatenate([[True], np.diff(self.rows) > self.every])[: len(self.rows)]
+        seconds = np.sum(_since(self.breaks) >= AR_ORDER) / self.rate
+        if seconds < LEAST_DRIVEN:
+            raise DataError(
+                f"flight {flown.key} has {seconds:.1f} s of flight with commands and measured rotor speeds, expected "
+                f"at least {LEAST_DRIVEN:.0f} s"
+            )
+        self.commands, self.speeds = (
+            [np.where(finite, x, 0.0) for x in columns.T] for columns in (command, speed)
+        )  # fmt: skip
+        self.target = np.stack([w[self.rows] for w in self.speeds], axis=1)
+        self._buffer = np.empty(len(self.t))
+
+    def kept(self) -> np.ndarray:
+        """Places (m,) of the rows whose errors before are known."""
+        return self.rows[self._known()]
+
+    def of_commands(self, i: int, x: np.ndarray) -> np.ndarray:
+        """Speed (n,) of rotor i that its commands alone make; the next call overwrites it."""
+        c = self.commands[i]
+        wanted = (1.0 + x[7 + i]) * (x[3] + x[4] * c + x[5] * c * c)
+        if self.ratio is not None:
+            wanted *= np.exp(x[6] * self.ratio)
+        follow(wanted, self.speeds[i], self.begins, x[DELAY] / self.dt, self.dt, x[0], x[1], self._buffer)
+        return self._buffer
+
+    def errors(self, x: np.ndarray) -> np.ndarray:
+        """What of the errors (m, 4), rad/s, the errors before do not predict."""
+        return self._new(self._plain(x), self.memory)
+
+    def learn(self, x: np.ndarray) -> None:
+        """The memory of the errors at x."""
+        self.memory = self._memory_of(self._plain(x))
+
+    def slopes(self, x: np.ndarray, step: np.ndarray) -> np.ndarray:
+        """Derivatives (m, 4, 11) of the predicted speeds by differences over step (11,), see `_unforeseen`."""
+        here = -self.errors(x)
+        slopes = slopes_of(lambda x: -self.errors(x).ravel(), x, here.ravel(), step).reshape(*here.shape, -1)
+        return np.stack([self._unforeseen(slopes[:, i], plain) for i, plain in enumerate(self._plain(x).T)], axis=1)
+
+    def own_lag(self, i: int, x: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
+        """A rotor's own time constants as a multiple of x's, its errors (m,) with them, and how these fall with the
+        logarithm of the multiple (m,). Each multiple has a memory of its own: that of a wrong one would hide it.
+        """
+
+        def plain(log: float) -> np.ndarray:
+            return self._plain(np.concatenate([np.exp(log) * x[:2], x[2:]]), [i])
+
+        def left(log: float) -> float:
+            return float(np.sum(self._new(plain(log), self._memory_of(plain(log))) ** 2))
+
+        best = float(minimize_scalar(left, bounds=np.log(OWN_LAG), method="bounded").x)
+        here = plain(best)
+        error, there = (self._new(values, self._memory_of(here))[:, 0] for values in (here, plain(best + LAG_STEP)))
+        return float(np.exp(best)), error, self._unforeseen((error - there)[:, None] / LAG_STEP, here[:, 0])[:, 0]
+
+    def fit(
+        self, start: np.ndarray, loose: np.ndarray, noise: float, step: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Constants by output error, and those that predict best.
+
+        start, loose (11,)  where they are held and how loosely; noise  rad/s, weighs that; step (11,)  of the slopes
+        """
+        low = np.concatenate([[LEAST_LAG, LEAST_LAG, EARLIEST], np.full(len(start) - 3, -np.inf)])
+        high = np.concatenate([[MOST_LAG, MOST_LAG, LATEST], np.full(len(start) - 3, np.inf)])
+
+        def weighed(x: np.ndarray, every: int = 1) -> np.ndarray:
+            return np.concatenate([-self.errors(x)[::every].ravel() / noise, (x - start) / loose])
+
+        def descend(x: np.ndarray, free: np.ndarray, every: int = 1) -> tuple[np.ndarray, np.ndarray]:
+            """From x to the least error along the constants that are free, and the slopes there."""
+
+            def at(values: np.ndarray) -> np.ndarray:
+                there = x.copy()
+                there[free] = values
+                return there
+
+            nothing = np.zeros(len(weighed(x, every)))
+            values, slopes, _ = fit_damped(
+                lambda v: weighed(at(v), every), nothing, x[free], (low[free], high[free]), step[free], DRIVE_ITERATIONS
+            )
+            return at(values), slopes * step[free]
+
+        def delayed(x: np.ndarray, slopes: np.ndarray) -> np.ndarray:
+            """x with the delay, within a step, that leaves least where the others follow along their slopes.
+
+            By itself: where a change of a command meets a sample, the error has an edge that no slope describes.
+            """
+            inverse = np.linalg.inv(slopes.T @ slopes)
+
+            def at(delay: float) -> np.ndarray:
+                return np.where(np.arange(len(x)) == DELAY, delay, x)
+
+            def left(delay: float) -> float:
+                error = weighed(at(delay))
+                along = slopes.T @ error
+                return float(error @ error - along @ inverse @ along)
+
+            near = np.clip([x[DELAY] - self.dt, x[DELAY] + self.dt], EARLIEST, LATEST)
+            found = float(minimize_scalar(left, bounds=near, method="bounded").x)
+            return at(min((found, x[DELAY]), key=left))
+
+        x = start.copy()
+        x[:3] = np.clip(x[:3], low[:3] + 1e-3, high[:3])
+        x = plain = descend(x, np.ones(len(x), bool), max(round(self.rate / RATE), 1))[0]
+        rest = np.arange(len(x)) != DELAY
+        for _ in range(SEARCHES):
+            self.learn(x)
+            x, slopes = descend(self._nearest(x), rest)
+            self.learn(x)
+            x = descend(delayed(x, slopes), rest)[0]
+        return plain, x
+
+    def _nearest(self, x: np.ndarray) -> np.ndarray:
+        """x with that lag and delay, of all, which leave least: along the delay there is a minimum near each sample.
+
+        The map is that of x. A whole step of the delay moves the speeds that the commands make.
+        """
+        kept, known, wanted = self.kept(), np.zeros(len(self.t)), np.zeros((4, len(self.t)))
+        known[kept], wanted[:, kept] = 1.0, self._new(self.target, self.memory).T
+        best, least = x, float(np.sum(self.errors(x) ** 2) - np.sum(wanted**2))
+        late = np.arange(round(EARLIEST / self.dt), round(LATEST / self.dt) + 1)
+        for lag in TRIED_LAGS:
+            tried, left = np.concatenate([[lag, lag, 0.0], x[3:]]), np.zeros(len(late))
+            for i in range(4):
+                weights = np.zeros(self.every * (len(self.memory) - 1) + 1)
+                weights[:: self.every] = self.memory
+                made = lfilter(weights, [1.0], self.of_commands(i, tried))
+                for k, shift in enumerate(late):
+                    now = slice(max(shift, 0), len(made) + min(shift, 0))
+                    then = slice(max(-shift, 0), len(made) - max(shift, 0))
+                    left[k] += known[now] @ made[then] ** 2 - 2.0 * wanted[i, now] @ made[then]
+            if left.min() < least:
+                best, least = np.concatenate([[lag, lag, late[np.argmin(left)] * self.dt], x[3:]]), left.min()
+        return best
+
+    def _plain(self, x: np.ndarray, rotors: Sequence[int] = range(4)) -> np.ndarray:
+        """Measured speeds minus those of the commands (rows, R) of some rotors."""
+        return np.stack([self.target[:, i] - self.of_commands(i, x)[self.rows] for i in rotors], axis=1)
+
+    def _memory_of(self, plain: np.ndarray) -> np.ndarray:
+        """That of errors (rows, R), one for all: rotors are alike; one of its own would hide one that is not."""
+        series = [errors[:, None] for errors in plain.T]
+        return autoregression(series, [self.breaks] * len(series), AR_ORDER).coefficients[0]
+
+    def _new(self, values: np.ndarray, memory: np.ndarray) -> np.ndarray:
+        """Values (rows, R) with what a memory predicts taken off (m, R)."""
+        rotors = values.shape[1]
+        whitener = Whitener(np.tile(memory, (rotors, 1)), np.ones(rotors))
+        return whiten(values[:, :, None], self.breaks, whitener)[0][:, :, 0]
+
+    def _unforeseen(self, slopes: np.ndarray, plain: np.ndarray) -> np.ndarray:
+        """Slopes (m, p) of a rotor without what its errors before (rows,) make of them.
+
+        It is what stays of them where the memory is fitted as well. Source: Frisch & Waugh, Econometrica 1, 1933.
+        """
+        places = np.flatnonzero(self._known())
+        before = np.stack([plain[places - lag] for lag in range(1, len(self.memory))], axis=1)
+        return slopes - before @ np.linalg.lstsq(before, slopes, rcond=None)[0]
+
+    def _known(self) -> np.ndarray:
+        return _since(self.breaks) >= len(self.memory) - 1
+
+
+def _since(begins: np.ndarray) -> np.ndarray:
+    """Rows (n,) since a stretch began. begins (n,) bool"""
+    rows = np.arange(len(begins))
+    return rows - np.maximum.accumulate(np.where(begins, rows, 0))

@@ -1,0 +1,112 @@
+"""Rotors that something disturbs, in a vehicle whose controller answers: the answers are no part of lag and delay."""
+
+import functools
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from quasi.airframe import Airframe
+from quasi.filtering.forces import low_pass
+from quasi.gap.flights.level import Flown
+from quasi.gap.levels.drive.fit import Belief, fit_drive
+from quasi.gap.levels.drive.identify import examine
+
+RATE, SECONDS, FINER = 500.0, 20.0, 2
+LAG, AGE, GAIN, HOVER = 0.02, 0.002, 4000.0, 0.45
+STEP = 1.0 / (RATE * FINER)
+TRUE_LAG = -STEP / np.log(1.0 - STEP / LAG)  # of Euler's steps
+FRAME = Airframe("Made", 0.43, np.eye(3) * 1e-3, 0.04, 0.08, np.zeros((4, 3)), np.ones(4))
+START = Belief(np.array([LAG, LAG, 0.0, 0.0, GAIN, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]), None)
+# a command holds from its sample on: the straight line from the sample before is half an interval earlier
+TRUE_DELAY = AGE + 0.5 / RATE
+
+
+@functools.cache
+def flown(seed, compared=True, lag=LAG, late=0.0, age=AGE, disturbed=15.0, size=2.0):
+    """One flight of four rotors, each with a rate that its errors of speed turn and that its command answers.
+
+    disturbed  rad/s, of each interval of the log; size  of the manoeuvres
+    """
+    rng = np.random.default_rng(seed)
+    n, dt = int(SECONDS * RATE), STEP
+    t, fine = np.arange(n) / RATE, np.arange(n * FINER) * dt
+    columns = {"t": t}
+    for i in range(1, 5):
+        f, a, phase = rng.uniform(0.2, 6.0, 8), size * rng.uniform(0.004, 0.012, 8), rng.uniform(0.0, 6.28, 8)
+        asked = HOVER + np.sin(6.2832 * np.outer(t, f) + phase) @ a
+        steps = (disturbed / np.sqrt(FINER) * rng.standard_normal(n * FINER)).tolist()
+        line = [HOVER] * (round(late / dt) + 1)
+        speed, rate, speeds, commands = GAIN * HOVER, 0.0, [], []
+        for k, step in enumerate(steps):
+            wanted = asked[k // FINER]
+            if k % FINER == 0:
+                commands.append(wanted - 0.0016 * rate)
+            line.append(commands[-1])
+            speeds.append(speed)
+            speed += (GAIN * line.pop(0) - speed) / lag * dt + step
+            rate += (2.5 * (speed - GAIN * wanted) - rate) * dt
+        columns[f"w{i}"] = np.interp(t - age, fine, speeds) + 2.0 * rng.standard_normal(n)
+        columns[f"command{i}"] = np.array(commands)
+    logged = pd.DataFrame(columns)
+    names = list(columns)[1:]
+    smooth = logged.assign(valid=((t > 0.5) & (t < SECONDS - 0.5)).astype(float))
+    smooth[names] = low_pass(logged[names].to_numpy(), 40.0, RATE)
+    return Flown(f"f{seed}", compared, logged, {}, smooth, {}, FRAME)
+
+
+@pytest.mark.parametrize(("disturbed", "size"), [(0.0, 2.0), (15.0, 2.0), (15.0, 5.0)])
+def test_lag_and_delay_are_the_rotors_own_however_the_controller_answers(disturbed, size):
+    fits = [fit_drive(flown(s, disturbed=disturbed, size=size), "shares", START) for s in (1, 2, 3)]
+    found = np.mean([d.values[:3] for d in fits], axis=0)
+    assert found[:2] == pytest.approx([TRUE_LAG, TRUE_LAG], abs=0.0022)
+    assert found[2] == pytest.approx(TRUE_DELAY, abs=0.0022)
+    # by output error, answers to what disturbs a rotor look like commands that it follows late
+    plain = np.mean([d.plain[:3] for d in fits], axis=0)
+    if disturbed and size < 3.0:
+        assert plain[:2].max() < TRUE_LAG - 0.004 and plain[2] > TRUE_DELAY + 0.004
+    # what is new at each moment has nothing to do with the moment before
+    for d in fits:
+        alike = np.sum(d.residual[1:] * d.residual[:-1], axis=0) / np.sum(d.residual**2, axis=0)
+        np.testing.assert_allclose(alike, 0.0, atol=0.05)
+
+
+def compared_with_references(**fault):
+    references = [flown(s, compared=False) for s in (11, 12, 13)]
+    return examine([*references, *(flown(s, **fault) for s in (1, 2, 3))], {"id": "bare"}, {})
+
+
+def test_other_manoeuvres_are_no_fault():
+    level = compared_with_references(size=6.0)
+    assert not level.effects and not level.ties
+
+
+def test_a_lag_that_doubled_is_the_lag():
+    level = compared_with_references(lag=2.0 * LAG)
+    (effect,) = level.effects
+    assert not level.ties
+    assert (effect["id"], effect["since"]) == ("motor_lag", "changed")
+    assert effect["parameters"]["time_constant"]["value"] == pytest.approx(2.0 * LAG, rel=0.1)
+
+
+@pytest.mark.parametrize("fault", [{"late": 0.008}, {"age": AGE + 0.008}])
+def test_late_commands_and_late_telemetry_are_a_delay_of_their_size(fault):
+    level = compared_with_references(**fault)
+    (tie,) = level.ties
+    assert not level.effects
+    assert set(tie["ids"]) == {"command_delay", "telemetry_delay"}
+    for parameters in tie["parameters"].values():
+        assert parameters["delay"]["value"] == pytest.approx(0.008, abs=0.001)
+
+
+def test_between_samples_of_the_telemetry_nothing_is_compared():
+    plain = flown(1)
+    slow = plain.imported.copy()
+    names = [f"w{i}" for i in range(1, 5)]
+    at = slow["t"].to_numpy()
+    for name in names:
+        slow[name] = np.interp(at, at[::5], slow[name].to_numpy()[::5])
+    told = {"streams": {"rotor speeds": {"rate": RATE / 5}}}
+    fit = fit_drive(Flown("slow", True, slow, told, plain.filtered, {}, FRAME), "shares", START)
+    assert fit.rate == pytest.approx(RATE / 5)
+    np.testing.assert_allclose(np.diff(fit.t), 5 / RATE)
