@@ -27,7 +27,7 @@ from quasi.terms.rotor_map import LOW_VOLTAGE
 
 AR_ORDER = 8  # of the autoregression, as of the sensors' (`quasi.gap.levels.sensors.products`)
 DRIVE_ITERATIONS = 12
-SEARCHES = 2  # of the delay: the second begins with errors that the first has set right
+DELAY_SEARCHES = 2  # of the delay: the second begins with errors that the first has set right
 LEAST_DRIVEN = 3.0  # s
 LEAST_LAG, MOST_LAG, EARLIEST, LATEST = 0.002, 0.4, -0.03, 0.1  # s
 TRIED_LAGS = np.geomspace(LEAST_LAG, MOST_LAG, 9)  # s, about twice as long each time
@@ -174,7 +174,7 @@ class Prediction:
         x[:3] = np.clip(x[:3], low[:3] + 1e-3, high[:3])
         x = plain = descend(x, np.ones(len(x), bool), max(round(self.rate / RATE), 1))[0]
         rest = np.arange(len(x)) != DELAY
-        for _ in range(SEARCHES):
+        for _ in range(DELAY_SEARCHES):
             self.learn(x)
             x, slopes = descend(self._nearest(x), rest)
             self.learn(x)
