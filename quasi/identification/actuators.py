@@ -13,13 +13,13 @@ Source: QuaSI user manual V1.0.a, listing 4 ("show actuator constant estimation"
 Identification, 2006, section 6.3 (output error by modified Newton-Raphson).
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
-from numba import njit
 
+from quasi.identification.lag_fit import NO_SLOPES, fit_damped, follow
 from quasi.identification.regression import bartlett, memory_windows
 from quasi.tables import TELEMETRY_AGE_REMOVED
 from quasi.terms.rotor_map import LOW_VOLTAGE, ROTOR_NUMBERS, STEADY_VOLTAGE
@@ -31,7 +31,6 @@ COMPARED_RATE_HZ = 125.0  # Hz at which speeds are compared
 FEWEST_ROWS = 100  # compared rows
 LIVELY = 0.02  # a rotor whose speed varies less than this share of its mean gives no time constant
 WORST_NORMAL_CONDITION = 1e14  # of the normal equations of scaled columns
-STEPS = 30
 POWERS = [0, 1, 2]
 
 
@@ -51,36 +50,6 @@ class Lag(NamedTuple):
     map: list[float] | None
     exponent: float | None
     explained: float
-
-
-@njit(cache=True)
-def follow(wanted, speed, start, late, dt, up, down, out):
-    """Speeds out (n,) of a rotor that follows wanted (n,) with its lag; wanted is linear between samples.
-
-    start (n,) nonzero where the equation starts anew from the measured speed; late  delay in samples, may be a fraction
-    """
-    n = len(wanted)
-    keep, first, last = np.empty(2), np.empty(2), np.empty(2)
-    for k in range(2):
-        tau = up if k else down
-        share = dt / tau
-        keep[k] = np.exp(-share)
-        last[k] = 1.0 - (1.0 - keep[k]) / share
-        first[k] = (1.0 - keep[k]) / share - keep[k]
-    whole = int(np.floor(late))
-    part = late - whole
-    y = speed[0]
-    before = wanted[0]
-    for i in range(n):
-        a, b = min(max(i - whole - 1, 0), n - 1), min(max(i - whole, 0), n - 1)
-        now = part * wanted[a] + (1.0 - part) * wanted[b]
-        if start[i]:
-            y = speed[i]
-        else:
-            k = 1 if 0.5 * (before + now) > y else 0
-            y = keep[k] * y + first[k] * before + last[k] * now
-        before = now
-        out[i] = y
 
 
 def rotor_lag(
@@ -119,31 +88,40 @@ def rotor_lag(
     if np.std(target) < LIVELY * np.mean(np.abs(target)):
         return "hardly changes its speed"
     command, speed = np.where(finite, command, 0.0), np.where(finite, speed, 0.0)
-    ratio = np.log(np.where(finite, voltage, reference) / reference) if voltage is not None else np.zeros(len(t))
+    ratio = np.log(np.where(finite, voltage, reference) / reference) if voltage is not None else None
     scale = float(np.std(target))
+    powers = np.stack([command**p for p in ([0, 1] if commands_speed else POWERS)], axis=1)
     out = np.empty(len(t))
 
-    def run(up: float, down: float, delay: float, shape: np.ndarray) -> np.ndarray:
-        values = shape[0] + shape[1] * command
-        if not commands_speed:
-            values = np.exp(shape[3] * ratio) * (values + shape[2] * command * command)
-        follow(values, speed, start, delay / dt, dt, up, down, out)
+    def predict(x: np.ndarray, slopes: np.ndarray = NO_SLOPES) -> np.ndarray:
+        """Speeds that are compared, by up, down, delay and map; slopes, where they are asked, take all rows."""
+        moves = powers if voltage is None else np.exp(x[-1] * ratio)[:, None] * powers
+        wanted = moves @ x[3 : 3 + powers.shape[1]]
+        if voltage is not None:
+            moves = np.column_stack([moves, wanted * ratio])
+        follow(wanted, speed, start, x[2] / dt, dt, x[0], x[1], out, moves if len(slopes) else NO_SLOPES, slopes)
         return out[chosen].copy()
 
-    shape = _first_map(command[chosen], target, commands_speed)
-    free_shape = len(shape) - (not commands_speed and voltage is None)
-    one = _fit(lambda x: run(x[0], x[0], x[1], _padded(x[2:], len(shape))), target, [0.03, 0.0, *shape[:free_shape]], 1)
+    def slopes(x: np.ndarray) -> np.ndarray:
+        rows = np.empty((len(t), len(x)))
+        predict(x, rows)
+        return rows[chosen]
+
+    def alike(x: np.ndarray) -> np.ndarray:
+        """Values of a rotor that speeds up as it slows down."""
+        return np.concatenate([x[:1], x])
+
+    shape = _first_map(command[chosen], target, commands_speed, voltage is not None)
+    one = _fit(lambda x: predict(alike(x)), lambda x: _summed(slopes(alike(x))), target, [0.03, 0.0, *shape], 1)
     if isinstance(one, str):
         return one
-    begin = [one[0][0], *one[0]]
-    two = _fit(lambda x: run(x[0], x[1], x[2], _padded(x[3:], len(shape))), target, begin, 2)
+    two = _fit(predict, slopes, target, alike(one[0]).tolist(), 2)
     if isinstance(two, str):
         return two
     values, jacobian, residual = two
     std, alone = standard_errors(jacobian, residual, groups), standard_errors(one[1], one[2], groups)
     if std is None or alone is None:
         return "moves too little to separate its constants"
-    found = _padded(values[3:], len(shape))
     names = ["up", "down", "delay", "offset" if commands_speed else "a0", "gain" if commands_speed else "a1"]
     names += [] if commands_speed else ["a2", "exponent"][: len(values) - 5]
     return Lag(
@@ -152,8 +130,8 @@ def rotor_lag(
         down=float(values[1]),
         delay=float(values[2]),
         std={"tau": float(alone[0]), **{name: float(s) for name, s in zip(names, std)}},
-        map=found[: 2 if commands_speed else 3].tolist(),
-        exponent=None if commands_speed else float(found[3]),
+        map=values[3 : 3 + powers.shape[1]].tolist(),
+        exponent=None if commands_speed else float(values[6]) if voltage is not None else 0.0,
         explained=1.0 - float(residual @ residual) / (scale**2 * len(target)),
     )
 
@@ -177,19 +155,22 @@ def standard_errors(jacobian: np.ndarray, residual: np.ndarray, rows: np.ndarray
     return np.sqrt(np.diag(covariance)) / scale
 
 
-def _padded(shape: np.ndarray, length: int) -> np.ndarray:
-    return np.concatenate([shape, np.zeros(length - len(shape))])
-
-
-def _first_map(command: np.ndarray, target: np.ndarray, commands_speed: bool) -> np.ndarray:
+def _first_map(command: np.ndarray, target: np.ndarray, commands_speed: bool, has_volts: bool) -> np.ndarray:
     """Map of the steady state, as a start: the regression of speed on command."""
     if commands_speed:
         return np.array([0.0, 1.0])
     columns = np.column_stack([np.ones_like(command), command, command**2])
-    return np.concatenate([np.linalg.lstsq(columns, target, rcond=None)[0], [0.0]])
+    return np.concatenate([np.linalg.lstsq(columns, target, rcond=None)[0], np.zeros(int(has_volts))])
 
 
-def _fit(run, target: np.ndarray, begin: list[float], lags: int) -> tuple[np.ndarray, np.ndarray, np.ndarray] | str:
+def _summed(slopes: np.ndarray) -> np.ndarray:
+    """Slopes (n, p - 1) where time constants up and down are one."""
+    return np.column_stack([slopes[:, 0] + slopes[:, 1], slopes[:, 2:]])
+
+
+def _fit(
+    run, slopes, target: np.ndarray, begin: list[float], lags: int
+) -> tuple[np.ndarray, np.ndarray, np.ndarray] | str:
     """Values, Jacobian and residual of the best fit, or why there are none.
 
     The first `lags` values are time constants, the next the delay; what follows is free.
@@ -198,56 +179,10 @@ def _fit(run, target: np.ndarray, begin: list[float], lags: int) -> tuple[np.nda
     low = np.array([SHORTEST_TIME_CONSTANT] * lags + [-0.25 * MOST_DELAY] + [-np.inf] * free)
     high = np.array([LONGEST_TIME_CONSTANT] * lags + [MOST_DELAY] + [np.inf] * free)
     size = np.array([0.01] * lags + [0.005] + [max(abs(v), 0.1) for v in begin[lags + 1 :]])
-    x, jacobian, predicted = fit_damped(run, target, np.array(begin), (low, high), 1e-3 * size)
+    x, jacobian, predicted = fit_damped(run, slopes, target, np.array(begin), (low, high), size)
     if np.any(x[:lags] <= SHORTEST_TIME_CONSTANT) or np.any(x[:lags] >= LONGEST_TIME_CONSTANT) or x[lags] >= MOST_DELAY:
         return "does not follow its command with a lag"
     return x, jacobian, target - predicted
-
-
-def slopes_of(
-    run: Callable[[np.ndarray], np.ndarray], x: np.ndarray, predicted: np.ndarray, step: np.ndarray
-) -> np.ndarray:
-    """Derivatives (n, p) of run at x (p,), where it gives predicted (n,), by forward differences over step (p,)."""
-    return np.stack(
-        [(run(x + np.where(np.arange(len(x)) == k, h, 0.0)) - predicted) / h for k, h in enumerate(step)], 1
-    )
-
-
-def fit_damped(
-    run: Callable[[np.ndarray], np.ndarray],
-    target: np.ndarray,
-    start: np.ndarray,
-    bounds: tuple[np.ndarray, np.ndarray],
-    step: np.ndarray,
-    iterations: int = STEPS,
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Least squares by damped Gauss-Newton steps: values (p,), last Jacobian (n, p), prediction (n,).
-
-    run  values -> prediction (n,) of target (n,); bounds  two (p,), at which steps are clipped
-    step  (p,) of the forward differences, in proportion to the sizes of the values
-    Source: Marquardt, SIAM J. Appl. Math. 11, 1963 (damping in proportion to the diagonal).
-    """
-    x, predicted = start, run(start)
-    cost = float(np.sum((target - predicted) ** 2))
-    damping, jacobian = 1e-3, np.empty((len(target), len(x)))
-    for _ in range(iterations):
-        jacobian = slopes_of(run, x, predicted, step)
-        scaled = jacobian * step
-        normal, gradient = scaled.T @ scaled, scaled.T @ (target - predicted)
-        diagonal = np.diag(np.diag(normal) + 1e-12 * np.trace(normal))
-        gained = 0.0
-        while damping < 1e6:
-            candidate = np.clip(x + np.linalg.solve(normal + damping * diagonal, gradient) * step, *bounds)
-            there = run(candidate)
-            new = float(np.sum((target - there) ** 2))
-            if new < cost:
-                gained, x, predicted, cost = cost - new, candidate, there, new
-                damping = max(damping / 10, 1e-6)
-                break
-            damping *= 10
-        if gained < 1e-7 * cost or gained == 0.0:
-            break
-    return x, jacobian, predicted
 
 
 def flight_lags(flight: pd.DataFrame, rows: np.ndarray, reference: float | None = None) -> list[Lag] | str:

@@ -9,7 +9,8 @@ from scipy.integrate import solve_ivp
 from scipy.signal import firwin
 
 from quasi.errors import ConfigError
-from quasi.identification.actuators import actuators, flight_lags, follow
+from quasi.identification.actuators import actuators, flight_lags
+from quasi.identification.lag_fit import NO_SLOPES, follow
 from quasi.importing.command_map import add_commanded_speeds
 from quasi.tables import TELEMETRY_AGE_REMOVED
 
@@ -62,7 +63,7 @@ def test_the_compiled_lag_equals_an_adaptive_integrator():
     out = np.empty(n)
     start = np.zeros(n, bool)
     start[0] = True
-    follow(wanted, np.full(n, 1000.0), start, 1.6, dt, UP, DOWN, out)
+    follow(wanted, np.full(n, 1000.0), start, 1.6, dt, UP, DOWN, out, NO_SLOPES, NO_SLOPES)
 
     def slope(at, y):
         w = np.interp(at - 1.6 * dt, t, wanted)
@@ -71,6 +72,31 @@ def test_the_compiled_lag_equals_an_adaptive_integrator():
     exact = solve_ivp(slope, (0, t[-1]), [1000.0], t_eval=t, max_step=dt / 5, rtol=1e-8)
     # of swings of 1000; the turn from up to down falls between two samples
     np.testing.assert_allclose(out, exact.y[0], atol=0.6)
+
+
+@pytest.mark.parametrize("late", [0.3, 1.6, -0.4])
+def test_derivatives_of_the_lag_equal_differences(late):
+    r, n, dt = np.random.default_rng(3), 400, 1 / RATE
+    command = np.repeat(r.uniform(0.2, 0.8, n // 8), 8)
+    start = np.zeros(n, bool)
+    start[[0, 150]] = True
+    powers = np.stack([np.ones(n), command, command**2], axis=1)
+    at = np.array([UP, DOWN, late * dt, *MAP])
+
+    def speeds(x, slopes=NO_SLOPES):
+        out = np.empty(n)
+        moves = powers if len(slopes) else NO_SLOPES
+        follow(powers @ x[3:], np.full(n, 1500.0), start, x[2] / dt, dt, x[0], x[1], out, moves, slopes)
+        return out
+
+    slopes = np.empty((n, 6))
+    plain = speeds(at)
+    np.testing.assert_array_equal(speeds(at, slopes), plain)
+    for k, step in enumerate([1e-8, 1e-8, 1e-8, 1e-4, 1e-4, 1e-4]):
+        one = np.where(np.arange(6) == k, step, 0.0)
+        differences = (speeds(at + one) - speeds(at - one)) / (2.0 * step)
+        np.testing.assert_allclose(slopes[:, k], differences, rtol=1e-4, atol=1e-5 * np.abs(slopes[:, k]).max())
+        assert np.abs(slopes[start, k]).max() == 0.0
 
 
 @pytest.mark.parametrize("commanded", ["speed", "share"])

@@ -10,7 +10,8 @@ from rigid_body import measure, move, quadrotor
 from quasi.filtering import kernels as filtering
 from quasi.filtering.flight import filter_flight
 from quasi.identification import kernels as identification
-from quasi.identification.actuators import follow, rotor_lag
+from quasi.identification.actuators import rotor_lag
+from quasi.identification.lag_fit import follow
 from quasi.importing import kernels as importing
 from quasi.importing.flight import import_flight
 from quasi_synthesis import kernels as synthesis

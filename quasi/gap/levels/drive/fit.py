@@ -26,7 +26,7 @@ LEAST_DRIVE_NOISE = 0.1  # rad/s: no residual is known better
 LEAST_SAG = 0.003  # natural log of the voltage: below this variation within a flight the exponent is not estimated
 # parameters in order: time constants, delay, map, battery exponent, each rotor's speed relative to the common map
 CONSTANTS = ("up", "down", "delay", "a0", "a1", "a2", "exponent", "rotor1", "rotor2", "rotor3", "rotor4")
-DIFFERENCES = np.array([5e-4, 5e-4, 3e-4, 2.0, 20.0, 20.0, 0.02, 0.002, 0.002, 0.002, 0.002])
+SIZES = np.array([5e-4, 5e-4, 3e-4, 2.0, 20.0, 20.0, 0.02, 0.002, 0.002, 0.002, 0.002])
 # prior standard deviations of a flight's constants about the start of the fit, where those without information stay
 LOOSE = np.array([0.05, 0.05, 0.05, 300.0, 2000.0, 2000.0, 0.5, 0.1, 0.1, 0.1, 0.1])
 
@@ -182,16 +182,16 @@ def fit_drive(flown: Flown, kind: str, start: Belief) -> DriveFit:
         flown.imported[list(names)].to_numpy(float) for names in (COMMANDED if kind == "speeds" else SHARES, SPEEDS)
     )
     volts = voltage_of(flown) if kind == "shares" and start.voltage else None
-    log = Prediction(flown, command, speed, volts, start.voltage)
-    step = DIFFERENCES if kind == "shares" else np.concatenate([DIFFERENCES[:3], [2.0, 0.01, 1e-6], DIFFERENCES[6:]])
+    log = Prediction(flown, command, speed, volts, start.voltage, start.values)
+    size = SIZES if kind == "shares" else np.concatenate([SIZES[:3], [2.0, 0.01, 1e-6], SIZES[6:]])
     loose = LOOSE if kind == "shares" else np.concatenate([LOOSE[:3], [200.0, 0.3, 1e-9], LOOSE[6:]])
     loose = np.where(np.arange(len(CONSTANTS)) == 6, loose if volts is not None else 1e-6, loose)
     noise = max(0.02 * float(np.std(log.target)), 1.0)  # rad/s, weighs the looseness against the data
-    plain, x = log.fit(start.values, loose, noise, step)
+    plain, x = log.fit(start.values, loose, noise, size)
     own = [log.own_lag(i, x) for i in range(4)]
     return DriveFit(
         flown.key, x, log.t[log.kept()], log.errors(x),
-        log.slopes(x, step), volts is not None and float(np.std(log.ratio[log.rows])) > LEAST_SAG,
+        log.slopes(x), volts is not None and float(np.std(log.ratio[log.rows])) > LEAST_SAG,
         (noise / loose) ** 2, noise, np.array([factor for factor, *_ in own]),
         np.array([_lag_error(error, slope, log.rate) for _, error, slope in own]), log.rate, plain,
     )  # fmt: skip

@@ -22,7 +22,8 @@ from quasi.errors import DataError
 from quasi.gap.flights.evidence import RATE
 from quasi.gap.flights.level import Flown
 from quasi.gap.statistics.whitening import Whitener, autoregression, whiten
-from quasi.identification.actuators import STRETCH_WARM_UP, fit_damped, follow, slopes_of
+from quasi.identification.actuators import STRETCH_WARM_UP
+from quasi.identification.lag_fit import NO_SLOPES, fit_damped, follow
 from quasi.terms.rotor_map import LOW_VOLTAGE
 
 AR_ORDER = 8  # of the autoregression, as of the sensors' (`quasi.gap.levels.sensors.products`)
@@ -45,9 +46,10 @@ class Prediction:
     """
 
     def __init__(
-        self, flown: Flown, command: np.ndarray, speed: np.ndarray, volts: np.ndarray | None, voltage: float | None
-    ) -> None:
-        """command, speed (n, 4) as logged; volts (n,) V, voltage  at which the map holds.
+        self, flown: Flown, command: np.ndarray, speed: np.ndarray, volts: np.ndarray | None, voltage: float | None,
+        start: np.ndarray,
+    ) -> None:  # fmt: skip
+        """command, speed (n, 4) as logged; volts (n,) V, voltage  at which the map holds; start (11,)  of the fit.
 
         Raises DataError where the flight is too short.
         """
@@ -79,19 +81,28 @@ class Prediction:
             [np.where(finite, x, 0.0) for x in columns.T] for columns in (command, speed)
         )  # fmt: skip
         self.target = np.stack([w[self.rows] for w in self.speeds], axis=1)
+        # a rotor's own share is one of the speed at the start of the fit: map and shares then add, and do not multiply,
+        # so that the fit does not creep along what they have in common
+        self.first = [_mapped(start, c) for c in self.commands]
         self._buffer = np.empty(len(self.t))
 
     def kept(self) -> np.ndarray:
         """Places (m,) of the rows whose errors before are known."""
         return self.rows[self._known()]
 
-    def of_commands(self, i: int, x: np.ndarray) -> np.ndarray:
-        """Speed (n,) of rotor i that its commands alone make; the next call overwrites it."""
-        c = self.commands[i]
-        wanted = (1.0 + x[7 + i]) * (x[3] + x[4] * c + x[5] * c * c)
-        if self.ratio is not None:
-            wanted *= np.exp(x[6] * self.ratio)
-        follow(wanted, self.speeds[i], self.begins, x[DELAY] / self.dt, self.dt, x[0], x[1], self._buffer)
+    def of_commands(self, i: int, x: np.ndarray, slopes: np.ndarray = NO_SLOPES) -> np.ndarray:
+        """Speed (n,) of rotor i that its commands alone make; the next call overwrites it.
+
+        slopes  takes its derivatives (n, 8) by the seven common constants and the rotor's own, where they are asked
+        """
+        c, moves = self.commands[i], NO_SLOPES
+        volt = np.ones(len(c)) if self.ratio is None else np.exp(x[6] * self.ratio)
+        wanted = volt * (_mapped(x, c) + x[7 + i] * self.first[i])
+        if len(slopes):
+            sagging = np.zeros(len(c)) if self.ratio is None else wanted * self.ratio
+            moves = np.stack([volt, volt * c, volt * c * c, sagging, volt * self.first[i]], axis=1)
+        late = x[DELAY] / self.dt
+        follow(wanted, self.speeds[i], self.begins, late, self.dt, x[0], x[1], self._buffer, moves, slopes)
         return self._buffer
 
     def errors(self, x: np.ndarray) -> np.ndarray:
@@ -102,11 +113,20 @@ class Prediction:
         """The memory of the errors at x."""
         self.memory = self._memory_of(self._plain(x))
 
-    def slopes(self, x: np.ndarray, step: np.ndarray) -> np.ndarray:
-        """Derivatives (m, 4, 11) of the predicted speeds by differences over step (11,), see `_unforeseen`."""
-        here = -self.errors(x)
-        slopes = slopes_of(lambda x: -self.errors(x).ravel(), x, here.ravel(), step).reshape(*here.shape, -1)
+    def slopes(self, x: np.ndarray) -> np.ndarray:
+        """Derivatives (m, 4, 11) of the predicted speeds, see `_unforeseen`."""
+        slopes = self._slopes(x)
         return np.stack([self._unforeseen(slopes[:, i], plain) for i, plain in enumerate(self._plain(x).T)], axis=1)
+
+    def _slopes(self, x: np.ndarray, every: int = 1) -> np.ndarray:
+        """Derivatives (m, 4, 11) of the predicted speeds at each `every`-th row; the memory stays."""
+        own, rows = np.empty((len(self.t), 8)), len(self.kept()[::every])
+        new = np.zeros((rows, 4, len(x)))
+        for i in range(4):
+            self.of_commands(i, x, own)
+            white = self._new(own[self.rows, None], self.memory)[::every, 0]
+            new[:, i, :7], new[:, i, 7 + i] = white[:, :7], white[:, 7]
+        return new
 
     def own_lag(self, i: int, x: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
         """A rotor's own time constants as a multiple of x's, its errors (m,) with them, and how these fall with the
@@ -125,11 +145,11 @@ class Prediction:
         return float(np.exp(best)), error, self._unforeseen((error - there)[:, None] / LAG_STEP, here[:, 0])[:, 0]
 
     def fit(
-        self, start: np.ndarray, loose: np.ndarray, noise: float, step: np.ndarray
+        self, start: np.ndarray, loose: np.ndarray, noise: float, size: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
         """Constants by output error, and those that predict best.
 
-        start, loose (11,)  where they are held and how loosely; noise  rad/s, weighs that; step (11,)  of the slopes
+        start, loose (11,)  where they are held and how loosely; noise  rad/s, weighs that; size (11,)  of a step
         """
         low = np.concatenate([[LEAST_LAG, LEAST_LAG, EARLIEST], np.full(len(start) - 3, -np.inf)])
         high = np.concatenate([[MOST_LAG, MOST_LAG, LATEST], np.full(len(start) - 3, np.inf)])
@@ -145,11 +165,16 @@ class Prediction:
                 there[free] = values
                 return there
 
+            def slopes(values: np.ndarray) -> np.ndarray:
+                seen = self._slopes(at(values), every).reshape(-1, len(x))
+                return np.concatenate([seen[:, free], np.diag(noise / loose)[:, free]]) / noise
+
             nothing = np.zeros(len(weighed(x, every)))
-            values, slopes, _ = fit_damped(
-                lambda v: weighed(at(v), every), nothing, x[free], (low[free], high[free]), step[free], DRIVE_ITERATIONS
-            )
-            return at(values), slopes * step[free]
+            values, along, _ = fit_damped(
+                lambda v: weighed(at(v), every), slopes, nothing, x[free], (low[free], high[free]), size[free],
+                DRIVE_ITERATIONS,
+            )  # fmt: skip
+            return at(values), along * size[free]
 
         def delayed(x: np.ndarray, slopes: np.ndarray) -> np.ndarray:
             """x with the delay, within a step, that leaves least where the others follow along their slopes.
@@ -214,10 +239,11 @@ class Prediction:
         return autoregression(series, [self.breaks] * len(series), AR_ORDER).coefficients[0]
 
     def _new(self, values: np.ndarray, memory: np.ndarray) -> np.ndarray:
-        """Values (rows, R) with what a memory predicts taken off (m, R)."""
+        """Values (rows, R) or (rows, R, p) with what a memory predicts taken off (m, ...)."""
         rotors = values.shape[1]
         whitener = Whitener(np.tile(memory, (rotors, 1)), np.ones(rotors))
-        return whiten(values[:, :, None], self.breaks, whitener)[0][:, :, 0]
+        new = whiten(values.reshape(*values.shape[:2], -1), self.breaks, whitener)[0]
+        return new.reshape(-1, *values.shape[1:])
 
     def _unforeseen(self, slopes: np.ndarray, plain: np.ndarray) -> np.ndarray:
         """Slopes (m, p) of a rotor without what its errors before (rows,) make of them.
@@ -230,6 +256,11 @@ class Prediction:
 
     def _known(self) -> np.ndarray:
         return _since(self.breaks) >= len(self.memory) - 1
+
+
+def _mapped(x: np.ndarray, command: np.ndarray) -> np.ndarray:
+    """Steady speed (n,), rad/s, of a command (n,) by constants x (11,)."""
+    return x[3] + x[4] * command + x[5] * command * command
 
 
 def _since(begins: np.ndarray) -> np.ndarray:
