@@ -25,7 +25,7 @@ from study import ROOT, fly, rms, run
 from quasi import attitude
 from quasi.airframe import read_airframe
 from quasi.errors import QuasiError
-from quasi.filtering import ekf, estimation, timing
+from quasi.filtering import capture_doubt, ekf, estimation
 from quasi.filtering.flight import filter_flight
 
 LARGEST_ATTITUDE, LARGEST_VELOCITY, HONEST, INSIDE = 0.4, 0.03, (0.7, 1.4), 0.9
@@ -36,17 +36,17 @@ SENSORS = estimation.SENSORS
 
 def passes_of(frame, about, airframe, options):
     """A filtered flight, and the forward and the smoothed pass behind it with their whole covariances."""
-    kept, widen = [], timing.widen
+    kept, widen = [], capture_doubt.widen
 
     def keep(*arguments):
         kept.append(widen(*arguments))
         return kept[-1]
 
-    timing.widen = keep
+    capture_doubt.widen = keep
     try:
         result = filter_flight(frame, about, airframe, options)
     finally:
-        timing.widen = widen
+        capture_doubt.widen = widen
     return result, kept[0], kept[1]
 
 

@@ -10,7 +10,7 @@ import pandas as pd
 from quasi import attitude
 from quasi.errors import DataError, add_caution
 from quasi.filtering import bias as biases
-from quasi.filtering import ekf, measurements, noise, timing
+from quasi.filtering import capture_doubt, ekf, measurements, noise
 from quasi.filtering.filter_inputs import (
     SENSORS,
     Material,
@@ -139,6 +139,7 @@ def copy(flight: Material) -> Run:
             "NIS": {},
             "consistent": None,
             "attitude alignment": None,
+            "captured point": None,
         },
         None,
     )
@@ -176,9 +177,10 @@ def estimate(flight: Material, watch: ekf.Watch | None = None) -> Run:
         inputs = noise.with_levels(inputs, factors, since_take_off(found.on_ground) & ~imu.lost, folded)
     engine, forward = _forward(chosen["engine"], inputs, watch)
     final = smooth(inputs, forward) if chosen["smoother"] else forward
+    lever = None
     if measured.source["position"].startswith("capture"):
-        late = timing.clock_uncertainty(metadata, t)
-        forward, final = (timing.widen(run, inputs, late) for run in (forward, final))
+        late, lever = capture_doubt.clock_uncertainty(metadata, t), capture_doubt.find_lever(inputs, forward)
+        forward, final = (_doubted(run, inputs, late, lever) for run in (forward, final))
     deviation, early = ekf.deviations(final.covariance), ekf.deviations(forward.covariance)
 
     independent = all(measured.source[k].startswith("capture") for k in ("attitude", "position"))
@@ -202,6 +204,8 @@ def estimate(flight: Material, watch: ekf.Watch | None = None) -> Run:
         }
         if aligned
         else None,
+        "captured point": lever
+        and {a: {"value": float(v), "std": float(s), "unit": "m"} for a, v, s in zip("xyz", *lever)},
     }
     return Run(
         final.quaternion,
@@ -212,6 +216,16 @@ def estimate(flight: Material, watch: ekf.Watch | None = None) -> Run:
         report,
         _course(t, forward, early, final, deviation),
     )
+
+
+def _doubted(
+    run: ekf.FilterResult, inputs: ekf.Inputs, late: np.ndarray, lever: tuple[np.ndarray, np.ndarray] | None
+) -> ekf.FilterResult:
+    """A pass with what is not known of the capture's clock and of its point in the covariance."""
+    shifts = [capture_doubt.clock_shift(run, inputs, late)]
+    if lever is not None:
+        shifts.append(capture_doubt.lever_shift(run, inputs, lever[0]))
+    return capture_doubt.widen(run, shifts)
 
 
 def _consistency(forward: ekf.FilterResult, notes: list[str]) -> dict[str, dict[str, Any]]:

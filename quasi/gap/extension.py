@@ -3,7 +3,6 @@
 Parameters are deviations from a cause's neutral value here: kg more than configured, a share more than 1, and so on.
 """
 
-import copy
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -48,8 +47,11 @@ def extend(
     Raises ConfigError for a cause that this model cannot carry, by name.
     """
     causes = joined(causes)
-    document = copy.deepcopy(model.document)
-    document["id"] = name
+    # what is written into below is new; the rest of the model's document is read only
+    document = dict(model.document) | {"id": name, "airframe": dict(model.document["airframe"])}
+    document["axes"] = {
+        axis: {**part, "terms": [dict(term) for term in part["terms"]]} for axis, part in document["axes"].items()
+    }
     # what an earlier gap found stays: a model that is extended already is extended further
     document["extensions"] = list(document.get("extensions") or [])
     known, first = read_rotor_constants(model), len(document["extensions"])
@@ -96,13 +98,12 @@ def extend(
         if "swinging load" in (section.get("states") or {}):
             load = float(section["states"]["swinging load"]["mass"])
             _hang(document, load, section["id"], lengths if number < first else {})
-    wind = wind_of(Model(document, f"model {name}"))
+    wind = wind_of(Model(document, f"model {name}"))  # which raises ConfigError where the whole is no model
     if wind.any():
         document["environment"] = {**document.get("environment", {}), "wind": wind.tolist()}
     ids = ", ".join(effect.id for effect, _ in causes) or "nothing"
     document["notes"] = [*document.get("notes", []), f"{where}: model {model.id} extended by {ids}"]
     document["provenance"] = {**document.get("provenance", {}), "extended from": model.id, "by": where}
-    Model(document, f"model {name}")
     return document
 
 

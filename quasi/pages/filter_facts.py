@@ -18,6 +18,8 @@ def list_filter_facts(f: Section, source: str) -> list[tuple[str, object]]:
         for a in ("roll", "pitch", "yaw")
         if a in turned
     ]
+    point = f.get("captured point") or {}
+    lever = [f"{a} {frame.format_with_error(x['value'], x['std'], 'mm', 1e3)}" for a, x in point.items()]
     phases = f["phases"]
     rest = phases.get("rest")
     return [
@@ -33,6 +35,7 @@ def list_filter_facts(f: Section, source: str) -> list[tuple[str, object]]:
         ("rest used", f"{rest[0]:.2f} to {rest[1]:.2f} s" if rest else "none"),
         ("biases by", (f.get("biases") or {}).get("policy")),
         (f"{of} axes on the body's", ", ".join(angles)),
+        ("captured point from the configured one", ", ".join(lever)),
         ("low-pass", f"{f['filters']['low-pass cutoff Hz']:g} Hz"),
         ("notches at the rotors' harmonics", _describe_notches(f["filters"].get("rotor notches"))),
     ]

@@ -15,7 +15,7 @@ from quasi.gap.levels.corrections import corrected_at_import
 from quasi.gap.levels.rollouts.open_loop import ERROR_UNITS
 from quasi.gap.levels.sensors_and_drive import CHANNEL_UNITS as UNITS_OF
 from quasi.gap.report.localised import table_of
-from quasi.gap.report.names import listed, name_of
+from quasi.gap.report.names import alternatives, listed, name_of
 from quasi.gap.report.next_steps import in_model, steps
 from quasi.gap.report.shares import certainty_of, reaches_floor, share_of
 from quasi.gap.report.wording import (
@@ -40,7 +40,6 @@ LINE_TITLES = {
     "rollouts with trim": "measured rotor speeds, trim of the 2 s before each window taken up",
     "rollouts from commands": "commands",
 }
-ANSWERED = 2  # causes that the first screen has room for
 MOST_CANDIDATES = 15  # of the causes that are not named
 SHOWN_AT = 0.5  # s: rows of the horizon nearest to it, and of the longest, stand on the page; the others open on demand
 FLOORS = 3.0  # times its floor that a channel of sensors or drive may keep unmentioned
@@ -135,16 +134,20 @@ def page(
 
 
 def _answers(diagnosis: Mapping[str, Any], known: Mapping[str, Effect]) -> str:
-    """What a pilot asks first, of the strongest causes: what is wrong, since when, how sure, and what to do."""
-    rows = []
-    for effect in diagnosis["effects"][:ANSWERED]:
-        rows += [
-            ("what is wrong", f"{name_of(effect['id'])}: {happening(effect, known)}"),
-            ("since when", since_of(effect)),
-            ("how sure", certainty_of(effect)),
-        ]
+    """What a pilot asks first: what is wrong, since when, how sure, and what to do."""
+    rows = [
+        [f"{name_of(effect['id'])}: {happening(effect, known)}", since_of(effect), certainty_of(effect)]
+        for effect in diagnosis["effects"]
+    ]
+    rows += [
+        [alternatives(tie["ids"]), since_of(tie), "it is one of them; these flights do not separate them"]
+        for tie in diagnosis["ties"]
+    ]
+    if not rows:
+        return ""
     first = next(iter(steps(diagnosis, known)), "")
-    return report.render_facts([*rows, ("what to do", first)] if first else rows) if rows else ""
+    answers = report.render_table(["what is wrong", "since when", "how sure"], rows, words=(1, 2))
+    return answers + (report.render_facts([("what to do", first)]) if first else "")
 
 
 def _rules(diagnosis: Mapping[str, Any]) -> str:

@@ -138,16 +138,20 @@ class MixedModel:
         self.freedom = max(self.count - (1 if self.compared.all() else 2), 1)
         # nuisances integrated out: what they take of a stretch, by half, is what couples the stretches of a flight
         own, size = columns.nuisance, self._stretch.shape[-1]
-        whole = np.zeros((len(parts), size, size))
-        np.add.at(whole, self._flight, self._stretch)
+        flights = np.arange(len(parts))[:, None] == self._flight
+
+        def summed(stretches: np.ndarray) -> np.ndarray:
+            """Sums (F, ...) over the stretches (K, ...) of each flight."""
+            return np.tensordot(flights.astype(float), stretches, 1)
+
+        whole = summed(self._stretch)
         self._half = np.zeros((self.count, len(own), size))
         if own:
             inner = whole[:, own][:, :, own] + np.diag(1.0 / columns.spread**2)
             scale = np.sqrt(np.einsum("fii->fi", inner))
             root = np.linalg.inv(np.linalg.cholesky(inner / (scale[:, :, None] * scale[:, None, :])))
             self._half = (root / scale[:, None, :])[self._flight] @ self._stretch[:, own, :]
-        halves = np.zeros((len(parts), len(own), size))
-        np.add.at(halves, self._flight, self._half)
+        halves = summed(self._half)
         self._within = self._stretch - np.swapaxes(self._half, 1, 2) @ halves[self._flight]  # stretch against flight
         self.grams = whole - np.swapaxes(halves, 1, 2) @ halves
         self._typical = np.einsum("fii->i", self.grams)
