@@ -15,7 +15,7 @@ import numpy as np
 from quasi import attitude
 from quasi.filtering.ekf import POSITION_KIND, FilterResult, Inputs, forward
 
-ARM = 1e-3  # m, over which the innovations' slopes are taken: they are nearly linear in it
+LEVER_STEP = 1e-3  # m, over which the innovations' slopes are taken: they are nearly linear in it
 USED = 1  # outcome of a measurement that no gate has met
 VELOCITY_ROW = 3  # of the error covariance; position follows it
 
@@ -43,11 +43,11 @@ def find_lever(inputs: Inputs, run: FilterResult) -> tuple[np.ndarray, np.ndarra
     Source: Friedland, Treatment of bias in recursive filtering, IEEE Trans. Automatic Control 14(4), 1969.
     """
     use, slopes = run.outcome == USED, []
-    for direction in ARM * np.eye(3):
+    for direction in LEVER_STEP * np.eye(3):
         arm = attitude.rotate(run.quaternion, np.broadcast_to(direction, inputs.position.shape))
         moved = forward(inputs._replace(position=inputs.position - arm))
         use &= moved.outcome == USED
-        slopes.append((moved.whitened - run.whitened) / ARM)
+        slopes.append((moved.whitened - run.whitened) / LEVER_STEP)
     if not use[:, POSITION_KIND].any():
         return None
     columns, left = np.stack([s[use].ravel() for s in slopes], axis=1), run.whitened[use].ravel()
