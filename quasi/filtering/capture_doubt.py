@@ -3,7 +3,7 @@
 Its clock: a lag that is wrong by s shifts the captured path by s. To first order position errs by v s and velocity by
 a s, the same s all along.
 Its point: a captured point that lies r apart from the one whose acceleration is measured moves with W x r about it.
-A velocity by both errs by a part of that, the same r all along.
+The velocity by both errs by up to that, the same r all along.
 Attitude follows the gyro, which needs neither, and is left as it is.
 """
 
@@ -43,8 +43,9 @@ def find_lever(inputs: Inputs, run: FilterResult) -> tuple[np.ndarray, np.ndarra
     Source: Friedland, Treatment of bias in recursive filtering, IEEE Trans. Automatic Control 14(4), 1969.
     """
     use, slopes = run.outcome == USED, []
-    for arm in LEVER_STEP * np.eye(3):
-        moved = forward(without_lever(inputs, run, arm))
+    for direction in LEVER_STEP * np.eye(3):
+        arm = attitude.rotate(run.quaternion, np.broadcast_to(direction, inputs.position.shape))
+        moved = forward(inputs._replace(position=inputs.position - arm))
         use &= moved.outcome == USED
         slopes.append((moved.whitened - run.whitened) / LEVER_STEP)
     if not use[:, POSITION_KIND].any():
@@ -64,21 +65,13 @@ def clock_shift(run: FilterResult, inputs: Inputs, seconds: np.ndarray) -> np.nd
     return np.hstack([force, run.state[:, :3]]) * seconds[:, None]
 
 
-def without_lever(inputs: Inputs, run: FilterResult, lever: np.ndarray) -> Inputs:
-    """The inputs with the captured point moved by a lever (3,), m, body axes, to where it is taken to be."""
-    return inputs._replace(
-        position=inputs.position - attitude.rotate(run.quaternion, np.broadcast_to(lever, inputs.position.shape))
-    )
+def lever_shift(run: FilterResult, inputs: Inputs, lever: np.ndarray) -> np.ndarray:
+    """What velocity and position (N, 6) err by where the captured point lies a lever (3,) apart, m, body axes.
 
-
-def lever_shift(run: FilterResult, corrected: FilterResult) -> np.ndarray:
-    """What velocity and position (N, 6) err by where the captured point is not where it is taken to be.
-
-    corrected  a pass without the lever. The velocity of the pass lies between those of the two points. Position is
-    that of the captured point, and stays.
+    Position is that of the captured point, and stays.
     """
-    moved = corrected.state[:, :3] - run.state[:, :3]
-    return np.hstack([moved, np.zeros_like(moved)])
+    turning = attitude.rotate(run.quaternion, np.cross(inputs.gyro - run.state[:, 6:9], lever))
+    return np.hstack([turning, np.zeros_like(turning)])
 
 
 def widen(run: FilterResult, shifts: Sequence[np.ndarray]) -> FilterResult:

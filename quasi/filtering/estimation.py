@@ -179,7 +179,8 @@ def estimate(flight: Material, watch: ekf.Watch | None = None) -> Run:
     final = smooth(inputs, forward) if chosen["smoother"] else forward
     lever = None
     if measured.source["position"].startswith("capture"):
-        forward, final, lever = _doubted(inputs, forward, final, capture_doubt.clock_uncertainty(metadata, t))
+        late, lever = capture_doubt.clock_uncertainty(metadata, t), capture_doubt.find_lever(inputs, forward)
+        forward, final = (_doubted(run, inputs, late, lever) for run in (forward, final))
     deviation, early = ekf.deviations(final.covariance), ekf.deviations(forward.covariance)
 
     independent = all(measured.source[k].startswith("capture") for k in ("attitude", "position"))
@@ -218,17 +219,13 @@ def estimate(flight: Material, watch: ekf.Watch | None = None) -> Run:
 
 
 def _doubted(
-    inputs: ekf.Inputs, forward: ekf.FilterResult, final: ekf.FilterResult, late: np.ndarray
-) -> tuple[ekf.FilterResult, ekf.FilterResult, tuple[np.ndarray, np.ndarray] | None]:
-    """Both passes with what is not known of the capture in the covariance; the lever of its point, if it is found."""
-    shifts = [[capture_doubt.clock_shift(run, inputs, late)] for run in (forward, final)]
-    lever = capture_doubt.find_lever(inputs, forward)
+    run: ekf.FilterResult, inputs: ekf.Inputs, late: np.ndarray, lever: tuple[np.ndarray, np.ndarray] | None
+) -> ekf.FilterResult:
+    """A pass with what is not known of the capture's clock and of its point in the covariance."""
+    shifts = [capture_doubt.clock_shift(run, inputs, late)]
     if lever is not None:
-        corrected = capture_doubt.without_lever(inputs, forward, lever[0])
-        there = ekf.forward(corrected)
-        shifts[0].append(capture_doubt.lever_shift(forward, there))
-        shifts[1].append(capture_doubt.lever_shift(final, there if final is forward else smooth(corrected, there)))
-    return capture_doubt.widen(forward, shifts[0]), capture_doubt.widen(final, shifts[1]), lever
+        shifts.append(capture_doubt.lever_shift(run, inputs, lever[0]))
+    return capture_doubt.widen(run, shifts)
 
 
 def _consistency(forward: ekf.FilterResult, notes: list[str]) -> dict[str, dict[str, Any]]:

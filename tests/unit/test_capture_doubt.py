@@ -65,13 +65,14 @@ def test_widening_adds_the_shifts_of_velocity_and_position_alone():
     P = root @ root.T
     q, state = np.array([[1.0, 0, 0, 0]]), rng.normal(size=(1, 15))
     run = ekf.FilterResult(q, state, P[np.tril_indices(18)][None], None, None, 0.0, None, None)
-    accel = rng.normal(size=(1, 3))
-    inputs = ekf.Inputs(None, None, accel, *[None] * 13)
+    gyro, accel = rng.normal(size=(2, 1, 3))
+    inputs = ekf.Inputs(None, gyro, accel, *[None] * 13)
     clock = capture_doubt.clock_shift(run, inputs, np.array([0.01]))
-    point = capture_doubt.lever_shift(run, run._replace(state=state + 0.2))
+    point = capture_doubt.lever_shift(run, inputs, np.array([0.0, 0.0, 0.1]))
     expected = np.zeros((2, 18))
     expected[0, 3:6] = 0.01 * (accel[0] - state[0, 9:12] + [0, 0, 9.81])
     expected[0, 6:9] = 0.01 * state[0, :3]
-    expected[1, 3:6] = 0.2
+    p, q, _ = gyro[0] - state[0, 6:9]
+    expected[1, 3:6] = [0.1 * q, -0.1 * p, 0.0]
     wide = ekf.unpack(capture_doubt.widen(run, [clock, point]).covariance)[0]
     np.testing.assert_allclose(wide, P + expected.T @ expected, atol=1e-12)
