@@ -3,7 +3,7 @@
 Its clock: a lag that is wrong by s shifts the captured path by s. To first order position errs by v s and velocity by
 a s, the same s all along.
 Its point: a captured point that lies r apart from the one whose acceleration is measured moves with W x r about it.
-The velocity by both errs by up to that, the same r all along.
+A velocity by both is nearly that of the captured point, and errs by that.
 Attitude follows the gyro, which needs neither, and is left as it is.
 """
 
