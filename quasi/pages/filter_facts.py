@@ -35,7 +35,7 @@ def list_filter_facts(f: Section, source: str) -> list[tuple[str, object]]:
         ("rest used", f"{rest[0]:.2f} to {rest[1]:.2f} s" if rest else "none"),
         ("biases by", (f.get("biases") or {}).get("policy")),
         (f"{of} axes on the body's", ", ".join(angles)),
-        ("captured point from the configured one", ", ".join(lever)),
+        ("captured point from where the IMU has it", ", ".join(lever)),
         ("low-pass", f"{f['filters']['low-pass cutoff Hz']:g} Hz"),
         ("notches at the rotors' harmonics", _describe_notches(f["filters"].get("rotor notches"))),
     ]
