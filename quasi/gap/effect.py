@@ -155,8 +155,7 @@ class Extension:
 
     terms        {axis: [(expression, coefficient)]}
     airframe     constants replaced: "mass", "inertia", "cg offset"
-    actuators    "time constant", "delay", "voltage exponent", "reference voltage", "telemetry delay", "rotor speed
-                 scale"
+    actuators    constants of rotors and their logs, see `quasi.model.extensions.read_rotor_constants`
     environment  "wind" (north, east, down), m/s
     states       parts with states of their own: "swinging load" (mass kg, length m), "inflow lag" (time constant s,
                  gain N s2); terms of the cause stand in for such a part where its states are not carried

@@ -14,6 +14,7 @@ from quasi.gap.effect import EARTH, Effect, Extension, Values, Vehicle
 from quasi.model.extensions import CONFIGURED_INERTIA_KEY, CONFIGURED_MASS_KEY, read_rotor_constants, wind_of
 from quasi.model.model import AXES, Model
 from quasi.simulation.vehicle.variants import list_part_names, read_payload_and_inflow
+from quasi.terms.rotor_map import LAG_FACTORS
 
 
 def extension_of(effect: Effect, values: Values, vehicle: Vehicle, model: Model) -> Extension:
@@ -137,8 +138,12 @@ def refuse_second_part(cause: str, extension: Extension, model: Model) -> None:
 
 
 def _in_all(found: Mapping[str, float], known: Mapping[str, float]) -> dict[str, float]:
-    """Constants of rotors and their logs with what an earlier extension holds: delays add up, scales multiply."""
+    """Constants of rotors and their logs with what an earlier extension holds: delays add up, factors multiply."""
     result = dict(found)
+    factors = [found.get(n, 1.0) for n in LAG_FACTORS]
+    if "time constant" in known and any(n in found for n in LAG_FACTORS):
+        result.setdefault("time constant", known["time constant"] * float(np.exp(np.mean(np.log(factors)))))
+    result |= {n: known.get(n, 1.0) * f for n, f in zip(LAG_FACTORS, factors) if n in found}
     if "telemetry delay" in found:
         result["telemetry delay"] += known.get("telemetry delay", 0.0)
     if "rotor speed scale" in found:

@@ -18,7 +18,7 @@ from quasi.model.columns import ROTORS
 from quasi.model.commands import map_of
 from quasi.model.model import Model
 from quasi.tables import TELEMETRY_AGE_REMOVED
-from quasi.terms.rotor_map import COMMANDED, RAW, SHARES, lagged, speed_exponent
+from quasi.terms.rotor_map import COMMANDED, LAG_FACTORS, RAW, SHARES, lagged, speed_exponent
 
 # keys of a model's document: mass, kg, and inertia, kg m2, with which its flights were processed
 CONFIGURED_MASS_KEY, CONFIGURED_INERTIA_KEY = "configured mass", "configured inertia"
@@ -32,6 +32,7 @@ _ROTOR_CONSTANTS = (
     "reference voltage",
     "telemetry delay",
     "rotor speed scale",
+    *LAG_FACTORS,
 )
 
 
@@ -57,7 +58,8 @@ def extensions_of(model: Model) -> list[Mapping[str, Any]]:
 def read_rotor_constants(model: Model) -> dict[str, float]:
     """Read the rotor constants of the extensions; {} without any. Raises ConfigError for unknown or invalid ones.
 
-    "time constant" s, the mean of speeding up and slowing down; "delay" s; "voltage exponent" of the steady speed;
+    "time constant" s, the mean of speeding up and slowing down; "rotor1 lag factor" and so on;
+    "delay" s; "voltage exponent" of the steady speed;
     "reference voltage" V at which it is 1, for a command map without one. Recordings, where recorded speeds drive a
     roll-out: "telemetry delay" s and "rotor speed scale", both subtracted from the record
     """
@@ -82,8 +84,9 @@ def drive_of(document: Mapping[str, Any]) -> dict[str, Any]:
     own.
 
     A time constant of an extension is the mean of speeding up and slowing down; the model's own ratio of the two, and
-    that of its rotors, is kept, and so is the reference voltage of its command map where it has one. Raises DataError
-    for a damaged section, ConfigError for a damaged extension.
+    that of its rotors, is kept, and so is the reference voltage of its command map where it has one. Factors of single
+    rotors multiply what there is; next to a time constant, that of all rotors, they shift rotors against one another.
+    Raises DataError for a damaged section, ConfigError for a damaged extension.
     """
     name = str(document.get("id", ""))
     known = document.get("actuators") or {}
@@ -97,6 +100,12 @@ def drive_of(document: Mapping[str, Any]) -> dict[str, Any]:
         middle = np.mean([np.mean(own[k]) for k in _LAGS[1:]] if both else own.get(_LAGS[0], lag))
         scaled = {k: (v * lag / middle).tolist() for k, v in own.items() if both or k == _LAGS[0]}
         known |= {k: {"value": v} for k, v in ({_LAGS[0]: lag} | scaled).items()}
+    if any(n in found for n in LAG_FACTORS):
+        factors = np.array([found.get(n, 1.0) for n in LAG_FACTORS])
+        if "time constant" in found:  # which is that of all four together
+            factors /= np.exp(np.mean(np.log(factors)))
+        own = {k: _read_seconds(known[k], name, k) for k in _LAGS if k in known}
+        known |= {k: {"value": (v * factors).tolist()} for k, v in (own or {_LAGS[0]: DEFAULT_LAG}).items()}
     if "delay" in found:
         own = known.get("delay")
         removed = own.get(TELEMETRY_AGE_REMOVED) if isinstance(own, Mapping) else None
@@ -333,7 +342,7 @@ def _collect_rotor_constants(document: Mapping[str, Any], name: str) -> dict[str
                 raise ConfigError(f"{what} changes the rotors' '{key}', which the simulator does not know"
                                   f"{nearest(key, _ROTOR_CONSTANTS)}; extend the model without it")  # fmt: skip
             number = float(value) if isinstance(value, int | float) else math.nan
-            positive = key in ("time constant", "reference voltage", "rotor speed scale")
+            positive = key in ("time constant", "reference voltage", "rotor speed scale", *LAG_FACTORS)
             if not math.isfinite(number) or (positive and number <= 0.0):
                 raise ConfigError(f"{what}: '{key}' is {value!r}, expected a {'positive' if positive else 'finite'} "
                                   "number; build the extended model again")  # fmt: skip

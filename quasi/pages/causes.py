@@ -3,6 +3,8 @@
 from collections.abc import Mapping
 from typing import Any
 
+from quasi.terms.rotor_map import LAG_FACTORS
+
 STATE_TEXTS = {
     "swinging load": "a swinging payload with states of its own in simulations and roll-outs; predictions contain "
     "its quasi-steady part, a payload at rest along the apparent vertical; exports do not contain it",
@@ -16,6 +18,7 @@ ACTUATOR_TEXTS = {
     "reference voltage": "rotors of simulations with a battery voltage, and of exported vehicles",
     "telemetry delay": "corrects recorded rotor speeds in roll-outs",
     "rotor speed scale": "corrects recorded rotor speeds in roll-outs",
+    **dict.fromkeys(LAG_FACTORS, "one rotor of simulations, roll-outs with commands and exported vehicles"),
 }
 # rotor constants that replace the values of the model
 REPLACED_CONSTANTS = ("time constant", "voltage exponent", "reference voltage")

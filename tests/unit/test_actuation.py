@@ -249,10 +249,16 @@ def test_commands_at_a_limit_and_a_slow_motor_are_findings():
 def test_the_rotor_that_follows_later_than_the_others_is_named(rotor, factor, references):
     slower = tuple(factor if i == rotor - 1 else 1.0 for i in range(4))
     flights = [flown(s, compared=False) for s in references] + [flown(s, slower=slower) for s in (1, 2, 3)]
-    (finding,) = (f for f in examine(flights, MODEL, {}).findings if f["id"] == "motor_lag")
+    level = examine(flights, MODEL, {})
+    (finding,) = (f for f in level.findings if f["id"] == "motor_lag")
     assert finding["evidence"]["rotor"] == rotor
     assert finding["evidence"]["factor"] == pytest.approx(factor, abs=3.0 * finding["evidence"]["std"])
     assert f"rotor {rotor} follows" in finding["text"]
+    (effect,) = level.effects
+    assert effect["id"] == "motor_lag" and not level.ties
+    ((name, own),) = effect["parameters"].items()
+    assert name == f"rotor{rotor}"
+    assert own["value"] == pytest.approx(factor, abs=3.0 * own["std"])
 
 
 def test_a_rotor_that_always_follows_later_is_no_change_and_four_slow_ones_are_none():

@@ -17,7 +17,7 @@ LAG, AGE, GAIN, HOVER = 0.02, 0.002, 4000.0, 0.45
 STEP = 1.0 / (RATE * FINER)
 TRUE_LAG = -STEP / np.log(1.0 - STEP / LAG)  # of Euler's steps
 FRAME = Airframe("Made", 0.43, np.eye(3) * 1e-3, 0.04, 0.08, np.zeros((4, 3)), np.ones(4))
-START = Belief(np.array([LAG, LAG, 0.0, 0.0, GAIN, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]), None)
+START = Belief(np.array([LAG, LAG, 0.0, 0.0, GAIN, *[0.0] * 10]), None)
 # a command holds from its sample on: the straight line from the sample before is half an interval earlier
 TRUE_DELAY = AGE + 0.5 / RATE
 

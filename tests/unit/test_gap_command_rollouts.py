@@ -60,7 +60,7 @@ def evidence_of(model, table):
 
 
 def constants(lag):
-    return [lag, lag, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]
+    return [lag, lag, 0.0, 0.0, 1.0, *[0.0] * 10]
 
 
 def known(lag):
@@ -160,13 +160,17 @@ def test_windows_without_commands_all_along_are_left_to_measured_speeds(model, t
 
 
 def test_learned_constants_make_speeds_of_commands(model, table):
-    values = dict(zip(CONSTANTS, [0.02, 0.04, 0.005, 400.0, 3000.0, -500.0, 0.5, 0.01, 0.0, 0.0, -0.01]))
+    values = dict(
+        zip(CONSTANTS, [0.02, 0.04, 0.005, 400.0, 3000.0, -500.0, 0.5, 0.01, 0.0, 0.0, -0.01, 0.4, 0.0, 0.0, 0.0])
+    )
     about = {"kind": "shares", "values": list(values.values()), "voltage": 16.0}
     shares = table.assign(**{f"command{i}": 0.1 * i for i in range(1, 5)}, battery_voltage=14.0)
     found, rotors = commanded.learned(about, open_loop.flight_of("a", shares), model)
     expected = np.array([(400 + 300 * i - 5 * i**2) * (14 / 16) ** 0.5 for i in range(1, 5)]) * [1.01, 1, 1, 0.99]
     np.testing.assert_allclose(found[7], expected)
-    assert (float(rotors.up), float(rotors.down), rotors.delay) == (0.02, 0.04, 0.005)
+    own = np.exp([0.3, -0.1, -0.1, -0.1])  # the first rotor is slower, the mean of the logarithms stays
+    np.testing.assert_allclose([rotors.up, rotors.down], [0.02 * own, 0.04 * own])
+    assert rotors.delay == 0.005
     aged = Model({**model.document, "extensions": [{"id": "x", "actuators": {"telemetry delay": 0.004}}]})
     assert commanded.learned(about, open_loop.flight_of("a", shares), aged)[1].delay == pytest.approx(0.001)
     assert commanded.learned(about, open_loop.flight_of("a", table), model) is None
@@ -186,13 +190,15 @@ def test_with_commands_the_best_wrong_cause_is_the_best_in_what_the_named_ones_m
 
 def test_causes_of_the_drive_that_are_not_named_are_wrong_ones(model):
     vehicle = Vehicle(np.zeros((4, 3)), np.ones(4), 0.04, 1e-7, 1e-9, 0.43, np.diag([1e-3, 2e-3, 3e-3]), 9.7, 0.0, 0.0)
-    healthy = {"values": constants(0.03), "voltage": None,
-               "alone": {"motor_lag": [0.01, 0.02], "command_delay": [0.004], "telemetry_delay": [0.01]}}  # fmt: skip
+    healthy = {"alone": {"motor_lag": {"time_constant": 0.045}, "command_delay": {"delay": 0.004},
+                         "telemetry_delay": {"delay": 0.01}}}  # fmt: skip
     found = commanded.wrong_ones(healthy, ["command_delay"], catalogue(), model, vehicle)
     assert list(found) == ["motor_lag"]  # late telemetry is no cause of the drive
     assert found["motor_lag"].document["extensions"][0]["actuators"] == {"time constant": pytest.approx(0.045)}
     assert commanded.wrong_ones({}, [], catalogue(), model, vehicle) == {}
-    sagging = {**healthy, "voltage": 15.8, "alone": {"battery_sag": [0.7]}}
+    slow = commanded.wrong_ones({"alone": {"motor_lag": {"rotor2": 1.4}}}, [], catalogue(), model, vehicle)
+    assert slow["motor_lag"].document["extensions"][0]["actuators"] == {"rotor2 lag factor": pytest.approx(1.4)}
+    sagging = {"alone": {"battery_sag": {"exponent": 0.7, "reference voltage": 15.8}}}
     (found,) = commanded.wrong_ones(sagging, [], catalogue(), model, vehicle).values()
     drive = found.document["extensions"][0]["actuators"]
     assert drive == {"voltage exponent": pytest.approx(0.7), "reference voltage": 15.8}

@@ -2,19 +2,27 @@
 
 from quasi.gap.effect import Effect, Extension, Parameter, Values, Vehicle
 from quasi.model.model import Model
+from quasi.terms.rotor_map import ROTOR_NUMBERS
+
+ROTORS = tuple(f"rotor{i}" for i in ROTOR_NUMBERS)
 
 
 def _extension(values: Values, _: Vehicle, __: Model) -> Extension:
-    return Extension(actuators={"time constant": values["time_constant"]})
+    constants = {"time constant": values["time_constant"]} if values["time_constant"] else {}
+    factors = {f"{n} lag factor": 1.0 + values[n] for n in ROTORS if values[n]}
+    return Extension(actuators=constants | factors)
 
 
 EFFECT = Effect(
     id="motor_lag",
     level="drive",
     sentence="the rotors follow their commands with another lag than the model's",
-    equation="dW/dt = (W_wanted - W) / time_constant",
+    equation="dW_i/dt = (W_wanted - W_i) / time_constant, of all rotors; or of rotor i times its factor",
     source="Klein & Morelli, 2006, section 6.3",
-    parameters={"time_constant": Parameter("s", None, "a", 0.002, 0.4, 0.008)},
+    parameters={
+        "time_constant": Parameter("s", None, "a", 0.002, 0.4, 0.008),
+        **{n: Parameter("1", 1.0, "a", 0.1, 10.0) for n in ROTORS},
+    },
     channels=("w1", "w2", "w3", "w4"),
     rivals=("command_delay",),
     tie_breaker="a sweep of the throttle to high frequencies: a lag loses gain, a delay keeps it",

@@ -318,14 +318,15 @@ class MixedModel:
         """The most significant selection of a cause's parameters that are not given yet; None when all are given.
 
         parts  "any": all of them, or one alone (the likeliest); "all": only together; "alike": together, equal or not;
-        "first": the first, or the first few; "one": one alone, the likeliest; "led": the first, and once that is given
-        each other; "paired": as "any" of the first half, the first one with its partner of the second half where that
-        is needed, and of the second half those whose partner is given
+        "rotors": equal, or one alone, the likeliest; "first": the first, or the first few; "one": one alone, the
+        likeliest; "led": the first, and once that is given each other; "paired": as "any" of the first half, the first
+        one with its partner of the second half where that is needed, and of the second half those whose partner is
+        given
         """
         count = len(self.columns.causes[cause])
         taken = {k for o in given if o.cause == cause and o.since == since for k in o.which}
         barred = self.columns.barred.get(cause, frozenset()) if since == "changed" else frozenset()
-        free = tuple(k for k in range(count) if k not in taken | barred and count not in taken)
+        free = tuple(k for k in range(count) if k not in taken | barred and (count not in taken or parts == "rotors"))
         partners: list[tuple[int, ...]] = []
         if parts == "paired":
             half = count // 2
@@ -338,6 +339,8 @@ class MixedModel:
             selections += [(k,) for k in free]
         elif parts == "alike" and cause in self.columns.alike:
             selections.append((count,))
+        elif parts == "rotors":
+            selections = [*(() if taken else [(count,)]), *((k,) for k in free)]
         elif parts == "led":
             selections = [(k,) for k in free] if 0 in taken else [free[:1]]
         elif parts == "one":
@@ -350,7 +353,7 @@ class MixedModel:
         if parts in ("any", "paired", "alike") and len(tests) > 1:
             best = self._single_or_all(tests[0], tests[1:], given, pooled)
         else:
-            best = min(tests, key=lambda test: test.unlikely if parts == "one" else test.p, default=None)
+            best = min(tests, key=lambda test: test.unlikely if parts in ("one", "rotors") else test.p, default=None)
         if parts == "paired" and best is not None and len(best.offer.which) == 1 and not taken:
             best = self._with_partner(best, count // 2, given, pooled)
         best = min((t for t in (best, *paired) if t is not None), key=lambda test: test.p)

@@ -7,6 +7,7 @@ import numpy as np
 
 from quasi.gap.flights.level import Flown
 from quasi.gap.levels.drive.fit import DriveFit
+from quasi.gap.levels.drive.prediction import LAG, SHARE
 from quasi.terms.rotor_map import COMMANDED, SHARES
 
 LIMIT_WIDTH = 0.002  # of a share, or of the largest speed: commands at one limit differ by less
@@ -88,7 +89,7 @@ def saturated(flights: Sequence[Flown], kind: str) -> list[dict[str, Any]]:
 
 def weak(flights: Sequence[Flown], fits: Sequence[DriveFit]) -> list[dict[str, Any]]:
     """A rotor that turns slower (or faster) at the same command than the others do, beyond the reference flights."""
-    odd = _odd_rotor(flights, np.array([d.values[7:11] for d in fits]), np.full((len(fits), 4), ALIKE))
+    odd = _odd_rotor(flights, np.array([d.values[SHARE:LAG] for d in fits]), np.full((len(fits), 4), ALIKE))
     if odd is None or abs(0.75 * odd[1]) < WEAK:
         return []
     i, size, std = odd
@@ -104,7 +105,9 @@ def weak(flights: Sequence[Flown], fits: Sequence[DriveFit]) -> list[dict[str, A
 
 def slow(flights: Sequence[Flown], fits: Sequence[DriveFit]) -> list[dict[str, Any]]:
     """A rotor that follows its commands later (or sooner) than the others do, beyond the reference flights."""
-    odd = _odd_rotor(flights, np.log([d.lags for d in fits]), np.hypot(LAGS_ALIKE, [d.lag_errors for d in fits]))
+    centred = np.eye(4) - 0.25  # what all four have in common is no rotor's own
+    errors = [np.sqrt(np.diag(centred @ d.covariance()[LAG:, LAG:] @ centred)) for d in fits]
+    odd = _odd_rotor(flights, np.array([d.values[LAG:] for d in fits]), np.hypot(LAGS_ALIKE, errors))
     if odd is None:
         return []
     i, size, std = odd

@@ -13,26 +13,28 @@ import numpy as np
 from quasi.errors import DataError
 from quasi.gap.flights.evidence import RATE
 from quasi.gap.flights.level import Flown
-from quasi.gap.levels.drive.prediction import Prediction
+from quasi.gap.levels.drive.prediction import LAG, Prediction
 from quasi.gap.statistics.whitening import thin
 from quasi.identification.regression import bartlett
 from quasi.importing.command_fit import RESIDUAL_MEMORY
 from quasi.model.extensions import are_estimated, drive_of
 from quasi.tables import TELEMETRY_AGE_REMOVED
-from quasi.terms.rotor_map import COMMANDED, SHARES, SPEEDS
+from quasi.terms.rotor_map import COMMANDED, ROTOR_NUMBERS, SHARES, SPEEDS
 
 DRIVE_BAND = 0.4 * RATE  # Hz, as import resamples
 LEAST_DRIVE_NOISE = 0.1  # rad/s: no residual is known better
 LEAST_SAG = 0.003  # natural log of the voltage: below this variation within a flight the exponent is not estimated
-# parameters in order: time constants, delay, map, battery exponent, each rotor's speed relative to the common map
-CONSTANTS = ("up", "down", "delay", "a0", "a1", "a2", "exponent", "rotor1", "rotor2", "rotor3", "rotor4")
-SIZES = np.array([5e-4, 5e-4, 3e-4, 2.0, 20.0, 20.0, 0.02, 0.002, 0.002, 0.002, 0.002])
+# parameters in order: time constants, delay, map, battery exponent, each rotor's speed relative to the common map,
+# logarithm of each rotor's time constants over the geometric mean of the four, which the common ones are
+CONSTANTS = ("up", "down", "delay", "a0", "a1", "a2", "exponent", *(f"rotor{i}" for i in ROTOR_NUMBERS),
+             *(f"lag{i}" for i in ROTOR_NUMBERS))  # fmt: skip
+SIZES = np.array([5e-4, 5e-4, 3e-4, 2.0, 20.0, 20.0, 0.02, *[0.002] * 4, *[0.02] * 4])
 # prior standard deviations of a flight's constants about the start of the fit, where those without information stay
-LOOSE = np.array([0.05, 0.05, 0.05, 300.0, 2000.0, 2000.0, 0.5, 0.1, 0.1, 0.1, 0.1])
+LOOSE = np.array([0.05, 0.05, 0.05, 300.0, 2000.0, 2000.0, 0.5, *[0.1] * 4, *[0.7] * 4])
 
 
 class Belief(NamedTuple):
-    """Constants that a model or a group of flights holds: values (11,) by CONSTANTS, and the voltage that they hold at.
+    """Constants that a model or a group of flights holds: values (15,) by CONSTANTS, and the voltage that they hold at.
 
     aged  whether the age of the rotor telemetry was taken off the delay; None where it is unknown
     """
@@ -45,12 +47,11 @@ class Belief(NamedTuple):
 class DriveFit(NamedTuple):
     """One flight at its best constants.
 
-    values (11,) by CONSTANTS; t (n,) s at `rate` Hz; residual (n, 4) rad/s, what of the error the
-    errors before do not predict; slopes (n, 4, 11) of the predicted speed
-    held (11,) rad2/s2 per unit squared: how strongly each value was held where the fit began; noise rad/s that weighed
+    values (15,) by CONSTANTS; t (n,) s at `rate` Hz; residual (n, 4) rad/s, what of the error the
+    errors before do not predict; slopes (n, 4, 15) of the predicted speed
+    held (15,) rad2/s2 per unit squared: how strongly each value was held where the fit began; noise rad/s that weighed
     the residual against that
-    lags (4,)  each rotor's own time constants as multiples of `values`; lag_errors (4,)  of their logarithms
-    plain (11,)  the constants by output error
+    plain (15,)  the constants by output error
     """
 
     key: str
@@ -61,13 +62,11 @@ class DriveFit(NamedTuple):
     volts_vary: bool
     held: np.ndarray
     noise: float
-    lags: np.ndarray
-    lag_errors: np.ndarray
     rate: float
     plain: np.ndarray
 
     def covariance(self) -> np.ndarray:
-        """Of the values (11, 11), whatever the residuals remember and however they depart from a lag of first order.
+        """Of the values (15, 15), whatever the residuals remember and however they depart from a lag of first order.
 
         Source: Newey & West, Econometrica 55, 1987 (scores summed over lags with falling weights).
         """
@@ -98,7 +97,7 @@ class DriveFit(NamedTuple):
         return np.diff(self.t, prepend=-np.inf) > 1.5 / self.rate
 
     def moves(self, seconds: float) -> np.ndarray:
-        """What each block of the flight adds to the values (B, 11), to first order; they sum to nothing much."""
+        """What each block of the flight adds to the values (B, 15), to first order; they sum to nothing much."""
         scores = np.einsum("ncp,nc->np", self.slopes, self.residual)
         number = ((self.t - self.t[0]) / seconds).astype(int)
         parts = np.array([scores[number == n].sum(axis=0) for n in np.unique(number)])
@@ -150,9 +149,12 @@ def belief_of(document: Mapping[str, Any], kind: str) -> Belief | None:
     def mean(name: str, otherwise: float) -> float:
         return float(np.mean(held[name]["value"])) if name in held else otherwise
 
-    tau = mean("time constants", 0.03)
     values = np.zeros(len(CONSTANTS))
-    values[:3] = mean("time constants up", tau), mean("time constants down", tau), mean("delay", 0.0)
+    values[2] = mean("delay", 0.0)
+    lags = [held[n if n in held else "time constants"]["value"] for n in ("time constants up", "time constants down")]
+    logs = np.log([np.broadcast_to(np.asarray(each, float), 4) for each in lags])  # (2, 4)
+    values[:2] = np.exp(logs.mean(axis=1))
+    values[LAG:] = logs.mean(axis=0) - logs.mean()
     voltage = None
     if kind == "speeds":
         values[4] = 1.0
@@ -188,17 +190,8 @@ def fit_drive(flown: Flown, kind: str, start: Belief) -> DriveFit:
     loose = np.where(np.arange(len(CONSTANTS)) == 6, loose if volts is not None else 1e-6, loose)
     noise = max(0.02 * float(np.std(log.target)), 1.0)  # rad/s, weighs the looseness against the data
     plain, x = log.fit(start.values, loose, noise, size)
-    own = [log.own_lag(i, x) for i in range(4)]
     return DriveFit(
-        flown.key, x, log.t[log.kept()], log.errors(x),
-        log.slopes(x), volts is not None and float(np.std(log.ratio[log.rows])) > LEAST_SAG,
-        (noise / loose) ** 2, noise, np.array([factor for factor, *_ in own]),
-        np.array([_lag_error(error, slope, log.rate) for _, error, slope in own]), log.rate, plain,
+        flown.key, x, log.t[log.kept()], log.errors(x), log.slopes(x),
+        volts is not None and float(np.std(log.ratio[log.rows])) > LEAST_SAG, (noise / loose) ** 2, noise, log.rate,
+        plain,
     )  # fmt: skip
-
-
-def _lag_error(error: np.ndarray, slope: np.ndarray, rate: float) -> float:
-    """Standard error of the logarithm of a rotor's own lag, as `DriveFit.covariance` has it. error, slope (n,)"""
-    rows, known = np.arange(len(slope)), float(slope @ slope)
-    meat = bartlett((slope * error)[:, None], [rows], round(RESIDUAL_MEMORY * rate))[0, 0]
-    return float(np.sqrt(meat + LEAST_DRIVE_NOISE**2 * known) / max(known, 1e-300))

@@ -7,8 +7,9 @@ import numpy as np
 
 from quasi.gap.flights.level import Flown, by_cause, causes_of, values_of
 from quasi.gap.levels.drive.fit import CONSTANTS, Belief, DriveFit, commanded, fit_drive
-from quasi.gap.levels.drive.identify import DRIVE_CAUSES, LATE, usual_spreads, whole
+from quasi.gap.levels.drive.identify import DRIVE_CAUSES, LATE, lag_columns, usual_spreads, whole
 from quasi.gap.materiality import Gain, LinearErrors, each_usable, gains_of, without_nuisances
+from quasi.terms.rotor_map import ROTOR_NUMBERS
 
 
 def gains(
@@ -31,7 +32,7 @@ def gains(
 
 
 def _without_nuisances(fit: DriveFit, reference: Belief, own: set[str]) -> np.ndarray:
-    """(11, 11): columns times this have the flight's usual nuisances taken off, all but those of the `own` causes."""
+    """(15, 15): columns times this have the flight's usual nuisances taken off, all but those of the `own` causes."""
     named = {n for c in own for n in DRIVE_CAUSES.get(c, ())} | ({"delay"} if own & LATE else set())
     usual = usual_spreads(reference.values, 1.0 / fit.rate)
     spread = {k: usual[n] for k, n in enumerate(CONSTANTS) if n in usual and n not in named}
@@ -39,11 +40,15 @@ def _without_nuisances(fit: DriveFit, reference: Belief, own: set[str]) -> np.nd
 
 
 def _deviations(cause: str, entries: Sequence[Mapping[str, Any]], healthy: np.ndarray) -> np.ndarray:
-    """Values (11,) of the drive's constants, as deviations from healthy ones; what was always there and what changed
+    """Values (15,) of the drive's constants, as deviations from healthy ones; what was always there and what changed
     add up. Time constants and exponents are stated as totals."""
     size = np.zeros(len(CONSTANTS))
     if cause == "motor_lag":
-        size[:2] = [entries[0]["evidence"][n] - healthy[k] for k, n in enumerate(("up", "down"))]
+        factors = [np.prod([values_of(e).get(f"rotor{i}", 1.0) for e in entries]) for i in ROTOR_NUMBERS]
+        size += lag_columns(healthy)[:, :4] @ np.log(factors)
+        common = next((e for e in entries if "time_constant" in values_of(e)), None)
+        if common is not None:  # a slower rotor is in the mean already
+            size[:2] = [common["evidence"][n] - healthy[k] for k, n in enumerate(("up", "down"))]
     elif cause == "battery_sag":
         size[6] = values_of(entries[0])["exponent"] - healthy[6]
     else:

@@ -34,18 +34,23 @@ from quasi.gap.statistics.candidates import Candidate, Columns
 from quasi.importing.imu_and_telemetry import YAW_EXPLAINED
 from quasi.model.columns import ROTORS
 from quasi.model.extensions import are_estimated
-from quasi.terms.rotor_map import SHARES
+from quasi.terms.rotor_map import ROTOR_NUMBERS, SHARES
 
 EXPONENT = CONSTANTS.index("exponent")
-DRIVE_CAUSES = {"motor_lag": ("up", "down"), "command_delay": ("delay",), "telemetry_delay": ("late",),
+LAGS = tuple(f"lag{i}" for i in ROTOR_NUMBERS)
+# constants that a cause changes
+DRIVE_CAUSES = {"motor_lag": ("up", "down", *LAGS), "command_delay": ("delay",), "telemetry_delay": ("late",),
           "battery_sag": ("exponent",)}  # fmt: skip
+# columns of `Products.gram` that a cause is tested by, where they are not those constants; and that of all rotors alike
+COLUMNS = {"motor_lag": tuple(f"own lag {i}" for i in ROTOR_NUMBERS)}
+ALIKE = {"motor_lag": "own lags alike"}
 DRIVE_UNITS = {"up": "s", "down": "s", "delay": "s", "late": "s", "exponent": "1"}
 LATE = frozenset({"command_delay", "telemetry_delay"})
 USUAL_AGE, AGE_SPREAD = 2e-3, 7e-4  # s, of rotor telemetry that nothing is wrong with
 # standard deviations of what differs between healthy flights, as shares for the time constants; and of the error of
 # what a model believes, common to all flights
 NORMAL = {"up": LAGS_ALIKE, "down": LAGS_ALIKE, "delay": 7e-4, "a0": 8.0, "a1": 40.0, "a2": 40.0, "exponent": 0.03,
-          "rotor1": 0.01, "rotor2": 0.01, "rotor3": 0.01, "rotor4": 0.01}  # fmt: skip
+          **dict.fromkeys((f"rotor{i}" for i in ROTOR_NUMBERS), 0.01), **dict.fromkeys(LAGS, LAGS_ALIKE)}  # fmt: skip
 BELIEVED = {
     "up": 0.03,
     "down": 0.03,
@@ -55,6 +60,7 @@ BELIEVED = {
     "a2": 200.0,
     "exponent": 0.03,
     "late": 5e-4,
+    **dict.fromkeys(LAGS, 0.03),
 }
 UNPOOLED = ("telemetry_delay",)  # the usual age is known; left free, it would hide its difference from a late command
 DRIVE_TIE_BREAKERS = {LATE: "quick yaw inputs: the motion determines the delay of the telemetry"}
@@ -102,7 +108,8 @@ def examine(flights: Sequence[Flown], document: Mapping[str, Any], options: Mapp
         # flights are compared with the age of their telemetry in the delay; an older model does not say if its own is
         at = belief.values.copy()
         at[2] += {True: 1.0, False: 0.0, None: 0.5}[belief.aged] * USUAL_AGE
-        at[:3] += np.median([(fits[k].values - fits[k].plain)[:3] for k in first], axis=0)
+        timing = [n in (*LAGS, "up", "down", "delay") for n in CONSTANTS]
+        at[timing] += np.median([(fits[k].values - fits[k].plain)[timing] for k in first], axis=0)
         reference = belief._replace(values=at)
     if kind == "speeds" or not any(d.volts_vary for f, d in zip(used, fits) if f.compared):
         why = ("commands are speeds, which the speed controllers hold whatever the battery" if kind == "speeds"
@@ -113,7 +120,7 @@ def examine(flights: Sequence[Flown], document: Mapping[str, Any], options: Mapp
 
     compared = np.array([f.compared for f in used])
     products = [
-        Products(v - reference.values, np.linalg.inv(d.covariance()), d.moves(BLOCK), _age(f))
+        Products(v - reference.values, np.linalg.inv(d.covariance()), d.moves(BLOCK), _age(f), reference.values)
         for f, v, d in zip(used, constants, fits)
     ]
 
@@ -133,15 +140,18 @@ def examine(flights: Sequence[Flown], document: Mapping[str, Any], options: Mapp
         "values": reference.values.tolist(), "voltage": reference.voltage,
         "learned": {"kind": kind, "values": learned.tolist(), "voltage": belief and belief.voltage},
     }  # fmt: skip
-    profiles = {n: Profile(rivals=CATALOGUE[n].rivals) for n in asked}
+    profiles = {n: Profile("rotors" if n in ALIKE else "all", CATALOGUE[n].rivals) for n in asked}
     selection = select_causes(mixed, profiles, float(options.get("false alarm rate", 0.01)), EXACT)
-    alone = sorted(selection.marginal.values(), key=lambda test: test.wald)
-    level.healthy["alone"] = {test.offer.cause: test.value.tolist() for test in alone}
     shares = selection.reproducibility(lambda rng: [p.gram(rng) for p in products], build)
     volts = belief and belief.voltage
 
     def parameters(offer: Candidate) -> dict[str, dict[str, Any]]:
         return _parameters(mixed, selection, offer, students, volts)
+
+    alone = sorted(selection.marginal.values(), key=lambda test: test.wald)
+    level.healthy["alone"] = {
+        test.offer.cause: {n: p["value"] for n, p in parameters(test.offer).items()} for test in alone
+    }
 
     def lags(offer: Candidate) -> dict[str, float]:
         mean = np.mean([d.values[:2] for d in students], axis=0)
@@ -228,15 +238,17 @@ def _age(flown: Flown) -> tuple[float, float, float | None]:
 
 
 class Products(NamedTuple):
-    """One flight's constants against the reference: apart (11,), its precision (11, 11), what blocks add (B, 11)."""
+    """One flight's constants minus the reference's (15,), their precision (15, 15), what blocks add to them (B, 15)."""
 
     apart: np.ndarray
     precision: np.ndarray
     moves: np.ndarray
     age: tuple[float, float, float | None]
+    reference: np.ndarray
 
     def gram(self, rng: np.random.Generator | None = None) -> np.ndarray:
-        """Cross-products (13, 13) of: difference from the reference, constants by CONSTANTS, late telemetry.
+        """Cross-products (22, 22) of: difference from the reference, constants by CONSTANTS, late telemetry, each
+        rotor's own lag by the logarithm, and that of all alike.
 
         The delay is that of command and telemetry together; the motion's estimate of the telemetry delay is a
         measurement of its own. rng  draws the flight's blocks anew.
@@ -245,17 +257,30 @@ class Products(NamedTuple):
         if rng is not None:
             apart += self.moves[rng.integers(0, len(self.moves), len(self.moves))].sum(axis=0)
         _, seen, doubt = self.age
-        columns = np.column_stack([apart, np.eye(len(CONSTANTS)), np.eye(len(CONSTANTS))[:, 2]])
+        one = np.eye(len(CONSTANTS))
+        columns = np.column_stack([apart, one, one[:, 2], lag_columns(self.reference)])
         gram = columns.T @ self.precision @ columns
         if doubt is not None:
             row = np.zeros(len(gram))
-            row[0], row[-1] = (seen - USUAL_AGE) / doubt, 1.0 / doubt
+            row[0], row[1 + len(CONSTANTS)] = (seen - USUAL_AGE) / doubt, 1.0 / doubt
             gram += np.outer(row, row)
         return gram
 
 
+def lag_columns(reference: np.ndarray) -> np.ndarray:
+    """Changes (15, 5) of the constants where one rotor's time constants grow by a factor, per its logarithm; and all's.
+
+    A rotor of four moves the mean by a quarter of its own logarithm. reference (15,)
+    """
+    lags = [CONSTANTS.index(n) for n in LAGS]
+    found = np.zeros((len(CONSTANTS), 5))
+    found[:2, :4], found[:2, 4] = 0.25 * reference[:2, None], reference[:2]
+    found[lags, range(4)] = 1.0
+    return found
+
+
 def whole(flown: Flown, fit: DriveFit) -> np.ndarray:
-    """A flight's constants (11,), the age that import took off the rotor telemetry added to the delay again."""
+    """A flight's constants (15,), the age that import took off the rotor telemetry added to the delay again."""
     values = fit.values.copy()
     values[2] += _age(flown)[0]
     return values
@@ -265,7 +290,8 @@ def _mixed(
     grams: Sequence[np.ndarray], compared: np.ndarray, asked: Sequence[str], reference: Belief,
     doubt: float, sessions: Sequence[str], usual: Mapping[str, float],
 ) -> SensorMixedModel:  # fmt: skip
-    place = {name: 1 + i for i, name in enumerate([*CONSTANTS, "late"])}
+    lags = *COLUMNS["motor_lag"], ALIKE["motor_lag"]
+    place = {name: 1 + i for i, name in enumerate([*CONSTANTS, "late", *lags])}
     scale = {"up": reference.values[0], "down": reference.values[1]}
     width = len(place) + 1
     own = [name for names in (DRIVE_CAUSES[c] for c in asked) for name in names]
@@ -276,7 +302,8 @@ def _mixed(
     shared = list(range(width + len(NORMAL), len(source)))
     known = BELIEVED if reference.aged is None else {**BELIEVED, "delay": AGE_SPREAD}
     believed = np.array([s * scale.get(n, 1.0) * (doubt if n in scale else 1.0) for n, s in known.items()])
-    columns = Columns(shared, nuisance, np.array(spread), {c: [place[n] for n in DRIVE_CAUSES[c]] for c in asked})
+    tested = {c: [place[n] for n in COLUMNS.get(c, DRIVE_CAUSES[c])] for c in asked}
+    columns = Columns(shared, nuisance, np.array(spread), tested, alike={c: place[n] for c, n in ALIKE.items()})
     prior = np.diag(1.0 / believed**2)
     used = [g[np.ix_(source, source)] for g in grams]
     return SensorMixedModel(used, compared, columns, PRIOR_FREEDOM, prior, UNPOOLED, sessions=sessions)
@@ -294,6 +321,11 @@ def _parameters(
     informative = [d for d in fits if d.volts_vary] if offer.cause == "battery_sag" else fits
     values = np.array([d.values for d in informative])
     share = 1.0 / np.sqrt(len(informative))
+    if offer.cause == "motor_lag" and offer.which != (len(LAGS),):
+        return {
+            f"rotor{ROTOR_NUMBERS[k]}": {"value": float(np.exp(v)), "std": float(np.exp(v) * s), "unit": "1"}
+            for k, v, s in zip(offer.which, test.value, test.std)
+        }
     if offer.cause == "motor_lag":
         each = values[:, :2].mean(axis=1)
         std = max(float(each.std()) * share, NORMAL["up"] * float(each.mean()) * share / np.sqrt(2.0))

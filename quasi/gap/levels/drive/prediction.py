@@ -12,8 +12,6 @@ Sources: Ljung, System Identification, 2nd ed., 1999, chapter 13 (direct identif
 Stoica, System Identification, 1989, chapters 7 (errors made white by an autoregression, in turns) and 10.
 """
 
-from collections.abc import Sequence
-
 import numpy as np
 from scipy.optimize import minimize_scalar
 from scipy.signal import lfilter
@@ -32,13 +30,13 @@ DELAY_SEARCHES = 2  # of the delay: the second begins with errors that the first
 LEAST_DRIVEN = 3.0  # s
 LEAST_LAG, MOST_LAG, EARLIEST, LATEST = 0.002, 0.4, -0.03, 0.1  # s
 TRIED_LAGS = np.geomspace(LEAST_LAG, MOST_LAG, 9)  # s, about twice as long each time
-OWN_LAG = (0.2, 5.0)  # times the common time constants, between which a rotor's own are sought
-LAG_STEP = 0.01  # of a logarithm, over which a slope is taken
+MOST_APART = 2.0  # of the logarithm of a rotor's lag over the others'
 DELAY = 2  # place of the delay among the constants
+SHARE, LAG = 7, 11  # places of the first rotor's share of the speed, and of the logarithm of its lag over the others'
 
 
 class Prediction:
-    """Of a flight's rotor speeds by constants x (11,), see `fit.CONSTANTS`.
+    """Of a flight's rotor speeds by constants x (15,), see `fit.CONSTANTS`.
 
     t (n,) s, dt its step; rows  places of the samples of the telemetry that are compared, `every` steps apart, at
     `rate` Hz; memory (order + 1,)  weights of an error and of the errors before it in what is new
@@ -49,7 +47,7 @@ class Prediction:
         self, flown: Flown, command: np.ndarray, speed: np.ndarray, volts: np.ndarray | None, voltage: float | None,
         start: np.ndarray,
     ) -> None:  # fmt: skip
-        """command, speed (n, 4) as logged; volts (n,) V, voltage  at which the map holds; start (11,)  of the fit.
+        """command, speed (n, 4) as logged; volts (n,) V, voltage  at which the map holds; start (15,)  of the fit.
 
         Raises DataError where the flight is too short.
         """
@@ -93,16 +91,17 @@ class Prediction:
     def of_commands(self, i: int, x: np.ndarray, slopes: np.ndarray = NO_SLOPES) -> np.ndarray:
         """Speed (n,) of rotor i that its commands alone make; the next call overwrites it.
 
-        slopes  takes its derivatives (n, 8) by the seven common constants and the rotor's own, where they are asked
+        slopes  takes its derivatives (n, 8) by its own time constants, the five next of x and its share of the speed,
+        where they are asked
         """
         c, moves = self.commands[i], NO_SLOPES
         volt = np.ones(len(c)) if self.ratio is None else np.exp(x[6] * self.ratio)
-        wanted = volt * (_mapped(x, c) + x[7 + i] * self.first[i])
+        wanted = volt * (_mapped(x, c) + x[SHARE + i] * self.first[i])
         if len(slopes):
             sagging = np.zeros(len(c)) if self.ratio is None else wanted * self.ratio
             moves = np.stack([volt, volt * c, volt * c * c, sagging, volt * self.first[i]], axis=1)
-        late = x[DELAY] / self.dt
-        follow(wanted, self.speeds[i], self.begins, late, self.dt, x[0], x[1], self._buffer, moves, slopes)
+        late, (up, down) = x[DELAY] / self.dt, own_lag(x, i)
+        follow(wanted, self.speeds[i], self.begins, late, self.dt, up, down, self._buffer, moves, slopes)
         return self._buffer
 
     def errors(self, x: np.ndarray) -> np.ndarray:
@@ -110,49 +109,39 @@ class Prediction:
         return self._new(self._plain(x), self.memory)
 
     def learn(self, x: np.ndarray) -> None:
-        """The memory of the errors at x."""
-        self.memory = self._memory_of(self._plain(x))
+        """The memory of the errors at x, one for all: rotors are alike; one of its own would hide one that is not."""
+        series = [errors[:, None] for errors in self._plain(x).T]
+        self.memory = autoregression(series, [self.breaks] * len(series), AR_ORDER).coefficients[0]
 
     def slopes(self, x: np.ndarray) -> np.ndarray:
-        """Derivatives (m, 4, 11) of the predicted speeds, see `_unforeseen`."""
+        """Derivatives (m, 4, 15) of the predicted speeds, see `_unforeseen`."""
         slopes = self._slopes(x)
         return np.stack([self._unforeseen(slopes[:, i], plain) for i, plain in enumerate(self._plain(x).T)], axis=1)
 
     def _slopes(self, x: np.ndarray, every: int = 1) -> np.ndarray:
-        """Derivatives (m, 4, 11) of the predicted speeds at each `every`-th row; the memory stays."""
+        """Derivatives (m, 4, 15) of the predicted speeds at each `every`-th row; the memory stays."""
         own, rows = np.empty((len(self.t), 8)), len(self.kept()[::every])
         new = np.zeros((rows, 4, len(x)))
         for i in range(4):
             self.of_commands(i, x, own)
             white = self._new(own[self.rows, None], self.memory)[::every, 0]
-            new[:, i, :7], new[:, i, 7 + i] = white[:, :7], white[:, 7]
+            up, down = own_lag(x, i)
+            new[:, i, :7], new[:, i, SHARE + i] = white[:, :7], white[:, 7]
+            new[:, i, 0] *= up / x[0]
+            new[:, i, 1] *= down / x[1]
+            # a logarithm counts from the mean of the four, which is what the common time constants are
+            new[:, i, LAG:] = (white[:, :1] * up + white[:, 1:2] * down) * (np.eye(4)[i] - 0.25)
         return new
-
-    def own_lag(self, i: int, x: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
-        """A rotor's own time constants as a multiple of x's, its errors (m,) with them, and how these fall with the
-        logarithm of the multiple (m,). Each multiple has a memory of its own: that of a wrong one would hide it.
-        """
-
-        def plain(log: float) -> np.ndarray:
-            return self._plain(np.concatenate([np.exp(log) * x[:2], x[2:]]), [i])
-
-        def left(log: float) -> float:
-            return float(np.sum(self._new(plain(log), self._memory_of(plain(log))) ** 2))
-
-        best = float(minimize_scalar(left, bounds=np.log(OWN_LAG), method="bounded").x)
-        here = plain(best)
-        error, there = (self._new(values, self._memory_of(here))[:, 0] for values in (here, plain(best + LAG_STEP)))
-        return float(np.exp(best)), error, self._unforeseen((error - there)[:, None] / LAG_STEP, here[:, 0])[:, 0]
 
     def fit(
         self, start: np.ndarray, loose: np.ndarray, noise: float, size: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
         """Constants by output error, and those that predict best.
 
-        start, loose (11,)  where they are held and how loosely; noise  rad/s, weighs that; size (11,)  of a step
+        start, loose (15,)  where they are held and how loosely; noise  rad/s, weighs that; size (15,)  of a step
         """
-        low = np.concatenate([[LEAST_LAG, LEAST_LAG, EARLIEST], np.full(len(start) - 3, -np.inf)])
-        high = np.concatenate([[MOST_LAG, MOST_LAG, LATEST], np.full(len(start) - 3, np.inf)])
+        low = np.concatenate([[LEAST_LAG, LEAST_LAG, EARLIEST], np.full(LAG - 3, -np.inf), np.full(4, -MOST_APART)])
+        high = np.concatenate([[MOST_LAG, MOST_LAG, LATEST], np.full(LAG - 3, np.inf), np.full(4, MOST_APART)])
 
         def weighed(x: np.ndarray, every: int = 1) -> np.ndarray:
             return np.concatenate([-self.errors(x)[::every].ravel() / noise, (x - start) / loose])
@@ -229,14 +218,9 @@ class Prediction:
                 best, least = np.concatenate([[lag, lag, late[np.argmin(left)] * self.dt], x[3:]]), left.min()
         return best
 
-    def _plain(self, x: np.ndarray, rotors: Sequence[int] = range(4)) -> np.ndarray:
-        """Measured speeds minus those of the commands (rows, R) of some rotors."""
-        return np.stack([self.target[:, i] - self.of_commands(i, x)[self.rows] for i in rotors], axis=1)
-
-    def _memory_of(self, plain: np.ndarray) -> np.ndarray:
-        """That of errors (rows, R), one for all: rotors are alike; one of its own would hide one that is not."""
-        series = [errors[:, None] for errors in plain.T]
-        return autoregression(series, [self.breaks] * len(series), AR_ORDER).coefficients[0]
+    def _plain(self, x: np.ndarray) -> np.ndarray:
+        """Measured speeds minus those of the commands (rows, 4)."""
+        return np.stack([self.target[:, i] - self.of_commands(i, x)[self.rows] for i in range(4)], axis=1)
 
     def _new(self, values: np.ndarray, memory: np.ndarray) -> np.ndarray:
         """Values (rows, R) or (rows, R, p) with what a memory predicts taken off (m, ...)."""
@@ -258,8 +242,13 @@ class Prediction:
         return _since(self.breaks) >= len(self.memory) - 1
 
 
+def own_lag(x: np.ndarray, i: int) -> np.ndarray:
+    """Time constants up and down (2,), s, of rotor i by constants x (15,)."""
+    return x[:2] * np.exp(x[LAG + i] - np.mean(x[LAG:]))
+
+
 def _mapped(x: np.ndarray, command: np.ndarray) -> np.ndarray:
-    """Steady speed (n,), rad/s, of a command (n,) by constants x (11,)."""
+    """Steady speed (n,), rad/s, of a command (n,) by constants x (15,)."""
     return x[3] + x[4] * command + x[5] * command * command
 
 

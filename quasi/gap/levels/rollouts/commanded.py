@@ -15,7 +15,7 @@ from quasi.errors import ConfigError
 from quasi.gap.effect import Effect, Vehicle
 from quasi.gap.extension import extend
 from quasi.gap.levels.drive.fit import CONSTANTS
-from quasi.gap.levels.drive.identify import DRIVE_CAUSES
+from quasi.gap.levels.drive.prediction import own_lag
 from quasi.gap.levels.rollouts.open_loop import Flight
 from quasi.model.extensions import read_rotor_constants
 from quasi.model.model import Model
@@ -26,7 +26,7 @@ from quasi.terms.rotor_map import COMMANDED, LOW_VOLTAGE, SHARES
 def learned(known: Mapping[str, Any], flight: Flight, model: Model) -> tuple[np.ndarray, ActuatorDynamics] | None:
     """Settled speeds that a flight's commands ask for (N, 4), rad/s, and how rotors follow; None without its commands.
 
-    known  {"kind": "speeds" or "shares", "values": (11,) by `fit.CONSTANTS`, "voltage": V or None}
+    known  {"kind": "speeds" or "shares", "values": (15,) by `fit.CONSTANTS`, "voltage": V or None}
     model  whose limits of rotor speed hold, and what it knows of the age of the telemetry, which is no delay
     """
     names = COMMANDED if known["kind"] == "speeds" else SHARES
@@ -41,7 +41,9 @@ def learned(known: Mapping[str, Any], flight: Flight, model: Model) -> tuple[np.
         wanted *= np.where(ratio > LOW_VOLTAGE, ratio, 1.0)[:, None] ** x["exponent"]
     late = max(x["delay"] - read_rotor_constants(model).get("telemetry delay", 0.0), 0.0)
     limits = read_actuator_dynamics(model)
-    return wanted, limits._replace(up=np.array(x["up"]), down=np.array(x["down"]), delay=late)
+    values = np.array(known["values"])
+    up, down = np.transpose([own_lag(values, i) for i in range(4)])
+    return wanted, limits._replace(up=up, down=down, delay=late)
 
 
 def wrong_ones(
@@ -49,21 +51,14 @@ def wrong_ones(
 ) -> dict[str, Model]:
     """{cause: the model extended by it alone} of the causes of the drive that are not named.
 
-    healthy  of the drive: "values" (11,) that flights were compared with, "alone" {cause: deviations from them}
+    healthy  of the drive: "alone" {cause: {parameter: value} where it stands alone}
     """
-    reference, found = dict(zip(CONSTANTS, healthy.get("values", ()))), {}
-    for cause, apart in (healthy.get("alone") or {}).items():
+    found = {}
+    for cause, alone in (healthy.get("alone") or {}).items():
         if cause in named or cause not in effects or effects[cause].level != "drive":
             continue
-        if cause == "motor_lag":
-            value = {"time_constant": float(np.mean([reference[n] + a for n, a in zip(DRIVE_CAUSES[cause], apart)]))}
-        elif cause == "battery_sag":
-            value = {"exponent": reference["exponent"] + apart[0]}
-            value |= {"reference voltage": healthy["voltage"]} if healthy.get("voltage") else {}
-        else:
-            value = {"delay": apart[0]}
         own = effects[cause].parameters
-        value = {n: float(np.clip(v, own[n].low, own[n].high)) - (own[n].neutral or 0.0) for n, v in value.items()}
+        value = {n: float(np.clip(v, own[n].low, own[n].high)) - (own[n].neutral or 0.0) for n, v in alone.items()}
         try:
             document = extend(model, [(effects[cause], value)], vehicle, "wrong", "trial")
         except ConfigError:
