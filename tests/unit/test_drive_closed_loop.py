@@ -9,6 +9,7 @@ import pytest
 from quasi.airframe import Airframe
 from quasi.filtering.forces import low_pass
 from quasi.gap.flights.level import Flown
+from quasi.gap.flights.residual_tables import spectra
 from quasi.gap.levels.drive.fit import Belief, fit_drive
 from quasi.gap.levels.drive.identify import examine
 
@@ -99,14 +100,33 @@ def test_late_commands_and_late_telemetry_are_a_delay_of_their_size(fault):
         assert parameters["delay"]["value"] == pytest.approx(0.008, abs=0.001)
 
 
-def test_between_samples_of_the_telemetry_nothing_is_compared():
-    plain = flown(1)
+def with_slow_telemetry(plain):
+    """The flight with a fifth of its samples of the rotors, and straight lines between them."""
     slow = plain.imported.copy()
     names = [f"w{i}" for i in range(1, 5)]
     at = slow["t"].to_numpy()
     for name in names:
         slow[name] = np.interp(at, at[::5], slow[name].to_numpy()[::5])
-    told = {"streams": {"rotor speeds": {"rate": RATE / 5}}}
-    fit = fit_drive(Flown("slow", True, slow, told, plain.filtered, {}, FRAME), "shares", START)
+    known = {"streams": {"rotor speeds": {"rate": RATE / 5}}}
+    return Flown(plain.key, plain.compared, slow, known, plain.filtered, {}, FRAME)
+
+
+def test_between_samples_of_the_telemetry_nothing_is_compared():
+    fit = fit_drive(with_slow_telemetry(flown(1)), "shares", START)
     assert fit.rate == pytest.approx(RATE / 5)
     np.testing.assert_allclose(np.diff(fit.t), 5 / RATE)
+
+
+def test_flights_whose_telemetry_has_several_rates_share_the_frequencies_of_their_spectra():
+    flights = [flown(11, compared=False), flown(12, compared=False), *(with_slow_telemetry(flown(s)) for s in (1, 2))]
+    tables = examine(flights, {"id": "bare"}, {}).tables
+    rates = {f: 1.0 / np.median(np.diff(rows["t"])) for f, rows in tables["residuals"].groupby("flight")}
+    assert max(rates.values()) > min(rates.values()) + 1.0
+    assert tables["spectra"]["frequency"].max() == pytest.approx(min(rates.values()) / 2, abs=0.25)
+
+
+def test_a_line_stands_at_its_frequency_in_the_spectra_of_flights_of_several_rates():
+    times = [np.arange(0.0, 40.0, 1.0 / rate) for rate in (62.5, 100.0)]
+    tables = [pd.DataFrame({"t": t, "w1_before": np.sin(2.0 * np.pi * 5.0 * t)}) for t in times]
+    found = spectra(tables, [np.arange(len(t)) == 0 for t in times])
+    assert found["frequency"][found["before"].idxmax()] == pytest.approx(5.0)

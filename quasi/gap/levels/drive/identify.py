@@ -321,4 +321,4 @@ def _tables(level: Level, used: Sequence[Flown], fits: Sequence[DriveFit], apart
             if known
         ]  # fmt: skip
     units = dict.fromkeys(ROTORS, "rad/s")
-    level.tables, level.noise_floor = level_tables(used, residuals, units, pd.DataFrame(parameters), bands[0].rate)
+    level.tables, level.noise_floor = level_tables(used, residuals, units, pd.DataFrame(parameters))
