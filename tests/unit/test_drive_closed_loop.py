@@ -100,14 +100,14 @@ def test_late_commands_and_late_telemetry_are_a_delay_of_their_size(fault):
         assert parameters["delay"]["value"] == pytest.approx(0.008, abs=0.001)
 
 
-def with_slow_telemetry(plain):
-    """The flight with a fifth of its samples of the rotors, and straight lines between them."""
+def with_slow_telemetry(plain, every=5):
+    """The flight with one of `every` samples of the rotors, and straight lines between them."""
     slow = plain.imported.copy()
     names = [f"w{i}" for i in range(1, 5)]
     at = slow["t"].to_numpy()
     for name in names:
-        slow[name] = np.interp(at, at[::5], slow[name].to_numpy()[::5])
-    known = {"streams": {"rotor speeds": {"rate": RATE / 5}}}
+        slow[name] = np.interp(at, at[::every], slow[name].to_numpy()[::every])
+    known = {"streams": {"rotor speeds": {"rate": RATE / every}}}
     return Flown(plain.key, plain.compared, slow, known, plain.filtered, {}, FRAME)
 
 
@@ -115,6 +115,12 @@ def test_between_samples_of_the_telemetry_nothing_is_compared():
     fit = fit_drive(with_slow_telemetry(flown(1)), "shares", START)
     assert fit.rate == pytest.approx(RATE / 5)
     np.testing.assert_allclose(np.diff(fit.t), 5 / RATE)
+
+
+def test_telemetry_of_one_sample_a_second_is_compared_with_its_errors():
+    fit = fit_drive(with_slow_telemetry(flown(1), every=500), "shares", START)
+    assert fit.rate == pytest.approx(1.0)
+    assert np.all(np.isfinite(fit.covariance())) and fit.lag_errors.min() > 0.05
 
 
 def test_flights_whose_telemetry_has_several_rates_share_the_frequencies_of_their_spectra():

@@ -73,7 +73,7 @@ class DriveFit(NamedTuple):
         """
         inverse = self._inverse()
         scores = np.einsum("ncp,nc->np", self.slopes, self.residual)
-        meat = bartlett(scores, [np.arange(len(scores))], round(RESIDUAL_MEMORY * self.rate))
+        meat = bartlett(scores, [np.arange(len(scores))], _memory(self.rate))
         flat = self.slopes.reshape(-1, len(CONSTANTS))
         # a value that is only held may be off by its looseness, noise / sqrt(held)
         return inverse @ (meat + LEAST_DRIVE_NOISE**2 * flat.T @ flat + self.noise**2 * np.diag(self.held)) @ inverse
@@ -200,5 +200,10 @@ def fit_drive(flown: Flown, kind: str, start: Belief) -> DriveFit:
 def _lag_error(error: np.ndarray, slope: np.ndarray, rate: float) -> float:
     """Standard error of the logarithm of a rotor's own lag, as `DriveFit.covariance` has it. error, slope (n,)"""
     rows, known = np.arange(len(slope)), float(slope @ slope)
-    meat = bartlett((slope * error)[:, None], [rows], round(RESIDUAL_MEMORY * rate))[0, 0]
+    meat = bartlett((slope * error)[:, None], [rows], _memory(rate))[0, 0]
     return float(np.sqrt(meat + LEAST_DRIVE_NOISE**2 * known) / max(known, 1e-300))
+
+
+def _memory(rate: float) -> int:
+    """Rows over which residuals may be correlated, at `rate` Hz; one alone where telemetry is slower than that."""
+    return max(round(RESIDUAL_MEMORY * rate), 1)
