@@ -10,7 +10,8 @@ from quasi.airframe import Airframe
 from quasi.filtering.forces import low_pass
 from quasi.gap.flights.level import Flown
 from quasi.gap.flights.residual_tables import spectra
-from quasi.gap.levels.drive.fit import Belief, fit_drive
+from quasi.gap.levels.drive.findings import _odd_rotor, weak
+from quasi.gap.levels.drive.fit import Belief, DriveFit, fit_drive
 from quasi.gap.levels.drive.identify import examine
 
 RATE, SECONDS, FINER = 500.0, 20.0, 2
@@ -121,6 +122,25 @@ def test_telemetry_of_one_sample_a_second_is_compared_with_its_errors():
     fit = fit_drive(with_slow_telemetry(flown(1), every=500), "shares", START)
     assert fit.rate == pytest.approx(1.0)
     assert np.all(np.isfinite(fit.covariance())) and fit.lag_errors.min() > 0.05
+
+
+def test_a_rotor_is_no_odder_than_so_few_samples_can_show():
+    """Four rows of a flight let the four rotors take any speed that the prior allows."""
+    fit = fit_drive(flown(1), "shares", START)
+    sure = DriveFit(**{**fit._asdict(), "values": fit.values + np.eye(11)[10] * -0.04})
+    few = sure._replace(residual=sure.residual[:4], slopes=sure.slopes[:4], t=sure.t[:4])
+    flights = [flown(1), flown(2)]
+    (finding,) = weak(flights, [sure, sure])
+    assert finding["evidence"]["rotor"] == 4 and finding["evidence"]["speed"] == pytest.approx(0.96, abs=0.01)
+    assert weak(flights, [few, few]) == []
+
+
+@pytest.mark.parametrize(("now", "before"), [(2, 0), (2, 3), (4, 4)])
+def test_flights_that_differ_more_than_usual_make_a_rotor_odd_as_seldom_as_their_own_spread_says(now, before):
+    rng, flights = np.random.default_rng(0), [flown(1)] * now + [flown(1, compared=False)] * before
+    values = 0.01 * rng.standard_normal((1000, now + before, 4))
+    alarms = sum(_odd_rotor(flights, own, np.full_like(own, 0.005)) is not None for own in values)
+    assert alarms < 30  # of two flights, one rotor alone had made 50, and twice as many where they differ by 0.02
 
 
 def test_flights_whose_telemetry_has_several_rates_share_the_frequencies_of_their_spectra():
