@@ -118,7 +118,8 @@ def examine(flights: Sequence[Flown], document: Mapping[str, Any], options: Mapp
     ]
 
     doubt = _doubt(document)
-    usual = usual_spreads(reference.values, 1.0 / min(d.rate for d in fits))
+    interval = 1.0 / min(d.rate for d in fits)
+    usual = usual_spreads(reference.values, interval)
     sessions = [(options.get("sessions") or {}).get(f.key, "") for f in used]
 
     def build(grams: list[np.ndarray]) -> SensorMixedModel:
@@ -141,7 +142,7 @@ def examine(flights: Sequence[Flown], document: Mapping[str, Any], options: Mapp
     volts = belief and belief.voltage
 
     def parameters(offer: Candidate) -> dict[str, dict[str, Any]]:
-        return _parameters(mixed, selection, offer, students, volts)
+        return _parameters(mixed, selection, offer, students, volts, timing_error(interval))
 
     def lags(offer: Candidate) -> dict[str, float]:
         mean = np.mean([d.values[:2] for d in students], axis=0)
@@ -209,13 +210,17 @@ def _doubt(document: Mapping[str, Any]) -> float:
 def usual_spreads(values: np.ndarray, interval: float) -> dict[str, float]:
     """What constants near `values` (11,) differ by between healthy flights with a sample each `interval` s, by NORMAL.
 
-    When between two samples a command changed, nobody knows: a uniform distribution, of the interval over sqrt(12). By
-    as much, lags and delay may differ with the manoeuvre.
+    By what is unknown of the time between two samples, lags and delay may differ with the manoeuvre.
     """
-    unknown = interval / np.sqrt(12.0)
+    unknown = timing_error(interval)
     own = {"up": (values[0], unknown), "down": (values[1], unknown), "delay": (1.0, unknown)}
     spreads = {n: (s, *own.get(n, (1.0, 0.0))) for n, s in NORMAL.items()}
     return {n: float(np.hypot(share * unit, timing)) for n, (share, unit, timing) in spreads.items()}
+
+
+def timing_error(interval: float) -> float:
+    """Standard deviation, s, of when between two samples a command changed: uniform over the interval."""
+    return interval / float(np.sqrt(12.0))
 
 
 def _age(flown: Flown) -> tuple[float, float, float | None]:
@@ -283,11 +288,12 @@ def _mixed(
 
 
 def _parameters(
-    mixed: SensorMixedModel, selection: Selection, offer: Candidate, fits: Sequence[DriveFit], volts: float | None
-) -> dict[str, dict[str, Any]]:
+    mixed: SensorMixedModel, selection: Selection, offer: Candidate, fits: Sequence[DriveFit], volts: float | None,
+    timing: float,
+) -> dict[str, dict[str, Any]]:  # fmt: skip
     """As they are stated: time constant and exponent absolute, of the compared flights; delays beyond the reference.
 
-    volts  at which the exponent's map holds
+    volts  at which the exponent's map holds; timing  error of a lag, s, that flights of the same manoeuvres share
     """
     test = selection.test(mixed, offer)
     # a flight whose voltage stays holds the exponent that its fit began with
@@ -297,7 +303,7 @@ def _parameters(
     if offer.cause == "motor_lag":
         each = values[:, :2].mean(axis=1)
         std = max(float(each.std()) * share, NORMAL["up"] * float(each.mean()) * share / np.sqrt(2.0))
-        return {"time_constant": {"value": float(each.mean()), "std": float(std), "unit": "s"}}
+        return {"time_constant": {"value": float(each.mean()), "std": float(np.hypot(std, timing)), "unit": "s"}}
     if offer.cause == "battery_sag":
         each = values[:, EXPONENT]
         std = max(float(each.std()) * share, NORMAL["exponent"] * share)
