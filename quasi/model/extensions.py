@@ -109,6 +109,11 @@ def drive_of(document: Mapping[str, Any]) -> dict[str, Any]:
     return known
 
 
+def has_lag_of_extension(document: Mapping[str, Any]) -> bool:
+    """Whether an extension of a model's document states its time constants."""
+    return "time constant" in _collect_rotor_constants(document, str(document.get("id", "")))
+
+
 def actuators_of(model: Model) -> Actuators:
     """Read lag, delay and speed limits of the rotors, those of extensions before the model's own.
 

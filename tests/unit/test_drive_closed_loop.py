@@ -91,6 +91,34 @@ def test_a_lag_that_doubled_is_the_lag():
     assert effect["parameters"]["time_constant"]["value"] == pytest.approx(2.0 * LAG, rel=0.1)
 
 
+def model_of(flights, trained=(), lag=None):
+    """A model with the constants that output error finds in some flights; lag  s, that an extension states instead."""
+    plain = np.mean([fit_drive(f, "shares", START).plain for f in flights], axis=0)
+    ways = {"time constants": plain[0], "time constants up": plain[0], "time constants down": plain[1]}
+    actuators = {n: {"value": [float(tau)] * 4, "std": [3e-4] * 4} for n, tau in ways.items()}
+    actuators |= {"delay": {"value": float(plain[2]), "std": 3e-4},
+                  "command map": {"coefficients": [0.0, GAIN, 0.0], "powers": [0, 1, 2]}}  # fmt: skip
+    document = {"id": "m", "actuators": actuators, "flights": {"training": [f.key for f in trained]}}
+    return document | ({"extensions": [{"id": "motor_lag", "actuators": {"time constant": lag}}]} if lag else {})
+
+
+@pytest.mark.parametrize(("size", "own", "lag"), [(5.0, False, None), (2.0, True, None), (2.0, False, TRUE_LAG)])
+def test_a_model_is_not_blamed_for_how_its_lag_was_found(size, own, lag):
+    """By output error, in flights that were flown harder; in these; or by an earlier comparison, which a second one had
+    contradicted: 18.5 +- 0.7 ms where its extension stated 19.5 ms."""
+    flights = [flown(s) for s in (1, 2, 3, 4)]
+    document = model_of([flown(s, size=size) for s in (21, 22, 23)], flights if own else (), lag)
+    level = examine(flights, document, {})
+    assert not level.effects and not level.ties
+
+
+@pytest.mark.parametrize("size", [2.0, 5.0])
+def test_a_lag_that_was_always_there_is_found_whatever_the_models_flights_were(size):
+    document = model_of([flown(s, size=size) for s in (21, 22, 23)])
+    (effect,) = examine([flown(s, lag=2.5 * LAG) for s in (1, 2, 3)], document, {}).effects
+    assert (effect["id"], effect["since"]) == ("motor_lag", "always")
+
+
 @pytest.mark.parametrize("fault", [{"late": 0.008}, {"age": AGE + 0.008}])
 def test_late_commands_and_late_telemetry_are_a_delay_of_their_size(fault):
     level = compared_with_references(**fault)

@@ -2,8 +2,9 @@
 
 Each flight's constants are those that predict its speeds best; then they are compared with the model's and with
 one another, with what motors and telemetry differ in between flights as nuisance. A model's constants were found by
-output error, so they count with what prediction finds differently in the flights at hand. A late command and late
-telemetry look the same here; what import found of the telemetry's age on its own, from the motion, splits them.
+output error, so they count with what prediction finds differently in the flights at hand; in its own flights that may
+have been less. A late command and late telemetry look the same here; what import found of the telemetry's age on its
+own, from the motion, splits them.
 """
 
 from collections.abc import Mapping, Sequence
@@ -33,7 +34,7 @@ from quasi.gap.statistics.blocks import BLOCK
 from quasi.gap.statistics.candidates import Candidate, Columns
 from quasi.importing.imu_and_telemetry import YAW_EXPLAINED
 from quasi.model.columns import ROTORS
-from quasi.model.extensions import are_estimated
+from quasi.model.extensions import are_estimated, has_lag_of_extension
 from quasi.terms.rotor_map import SHARES
 
 EXPONENT = CONSTANTS.index("exponent")
@@ -88,6 +89,7 @@ def examine(flights: Sequence[Flown], document: Mapping[str, Any], options: Mapp
         return level
     constants = [whole(f, d) for f, d in zip(used, fits)]
     first = [k for k, f in enumerate(used) if not f.compared] or list(range(len(used)))
+    biased = np.zeros(3)
     if belief is None or not is_known:
         middle = np.median([constants[k] for k in first], axis=0)
         # reference flights of constant voltage have no information on the battery, so its exponent is no change
@@ -102,8 +104,14 @@ def examine(flights: Sequence[Flown], document: Mapping[str, Any], options: Mapp
         # flights are compared with the age of their telemetry in the delay; an older model does not say if its own is
         at = belief.values.copy()
         at[2] += {True: 1.0, False: 0.0, None: 0.5}[belief.aged] * USUAL_AGE
-        at[:3] += np.median([(fits[k].values - fits[k].plain)[:3] for k in first], axis=0)
+        shift = np.median([(fits[k].values - fits[k].plain)[:3] for k in first], axis=0)
+        if has_lag_of_extension(document):
+            shift[:2] = 0.0  # an earlier comparison found it by prediction
+        at[:3] += shift
         reference = belief._replace(values=at)
+        # of flights that were flown otherwise, output error may have been off by less
+        trained = set((document.get("flights") or {}).get("training") or ())
+        biased = shift if not trained.issuperset(used[k].key for k in first) else biased
     if kind == "speeds" or not any(d.volts_vary for f, d in zip(used, fits) if f.compared):
         why = ("commands are speeds, which the speed controllers hold whatever the battery" if kind == "speeds"
                else "no compared flight logs a battery voltage that varies")  # fmt: skip
@@ -123,7 +131,7 @@ def examine(flights: Sequence[Flown], document: Mapping[str, Any], options: Mapp
     sessions = [(options.get("sessions") or {}).get(f.key, "") for f in used]
 
     def build(grams: list[np.ndarray]) -> SensorMixedModel:
-        return _mixed(grams, compared, asked, reference, doubt, sessions, usual)
+        return _mixed(grams, compared, asked, reference, doubt, sessions, usual, biased)
 
     mixed = build([p.gram() for p in products])
     level.tests = mixed
@@ -268,8 +276,9 @@ def whole(flown: Flown, fit: DriveFit) -> np.ndarray:
 
 def _mixed(
     grams: Sequence[np.ndarray], compared: np.ndarray, asked: Sequence[str], reference: Belief,
-    doubt: float, sessions: Sequence[str], usual: Mapping[str, float],
+    doubt: float, sessions: Sequence[str], usual: Mapping[str, float], biased: np.ndarray,
 ) -> SensorMixedModel:  # fmt: skip
+    """biased (3,) s, by what the model's lags and delay may be off for the way in which they were found."""
     place = {name: 1 + i for i, name in enumerate([*CONSTANTS, "late"])}
     scale = {"up": reference.values[0], "down": reference.values[1]}
     width = len(place) + 1
@@ -280,7 +289,10 @@ def _mixed(
     nuisance = list(range(width, width + len(NORMAL)))
     shared = list(range(width + len(NORMAL), len(source)))
     known = BELIEVED if reference.aged is None else {**BELIEVED, "delay": AGE_SPREAD}
-    believed = np.array([s * scale.get(n, 1.0) * (doubt if n in scale else 1.0) for n, s in known.items()])
+    off = dict(zip(CONSTANTS, biased))
+    believed = np.array(
+        [np.hypot(s * scale.get(n, 1.0) * (doubt if n in scale else 1.0), off.get(n, 0.0)) for n, s in known.items()]
+    )
     columns = Columns(shared, nuisance, np.array(spread), {c: [place[n] for n in DRIVE_CAUSES[c]] for c in asked})
     prior = np.diag(1.0 / believed**2)
     used = [g[np.ix_(source, source)] for g in grams]
