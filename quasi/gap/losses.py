@@ -58,8 +58,8 @@ def reject_losing_causes(
 ) -> tuple[list[Cause], list[tuple[Cause, Loss]], list[Loss]]:  # fmt: skip
     """Causes that stand, those rejected with what they made worse, and the losses that no rejection ends.
 
-    made  causes -> extended model; judge  extended model -> its losses; errors  extended model -> root mean square of
-    what it leaves of the held-out flights' forces and moments (6,)
+    made  causes -> extended model; judge  extended model -> its losses; errors  extended model -> root mean squares of
+    what it leaves of the held-out flights' forces and moments (6,), or (2, 6) with constant errors and without
     A cause that makes an axis of force or moment better by a larger factor than anything worse is none that is not
     there: its form errs, the loss limits the verdict, and the name stands.
     A loss that the model has without any cause (its own terms fitted anew) is no cause's fault, nor is one of trim,

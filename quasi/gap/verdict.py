@@ -238,13 +238,11 @@ def _harmless(
     def model_of(causes: Sequence[Cause]) -> Model:
         return made(causes, case.anew(causes))
 
-    def errors(model: Model, centred: bool = False) -> np.ndarray:
-        return np.sqrt(wrench_score(case.held, after(model, case.model), centred).mean())
+    def errors(model: Model) -> np.ndarray:
+        left = after(model, case.model)
+        return np.sqrt([wrench_score(case.held, left, centred).mean() for centred in (False, True)])
 
-    def both(model: Model) -> np.ndarray:
-        return np.array([errors(model), errors(model, True)])
-
-    for cause in correcting_others(settled.causes, model_of, both, unjudged) if case.held else []:
+    for cause in correcting_others(settled.causes, model_of, errors, unjudged) if case.held else []:
         settled = _without(
             settled, cause, "its axes stay as wrong as without any cause: it corrects what another errs by"
         )
