@@ -62,6 +62,20 @@ def test_columns_of_two_topics_are_two_sources(tmp_path, flight):
         read(write_bag(tmp_path, flight), "rosbag", **{"table columns": mapping})
 
 
+@pytest.mark.parametrize(
+    ("chosen", "words"),
+    [(["IMU:1"], "log topics is ['IMU:1'], expected a section"),
+     ({"body rates": 1}, "'body rates' is 1, expected text"),
+     ({"body rate": "IMU:1"}, "log topics: unknown key 'body rate' (did you mean 'body rates'?)")],
+)  # fmt: skip
+def test_a_choice_of_topics_that_nothing_has_checked_is_checked_by_the_reader(tmp_path, flight, chosen, words):
+    path = tmp_path / "two.bin"
+    path.write_bytes(dataflash_of(flight, imus=2).bytes())
+    with pytest.raises(ConfigError) as error:
+        read(path, "ardupilot", **{"log topics": chosen})
+    assert words in str(error.value)
+
+
 def test_of_two_imus_one_is_used_the_other_listed_and_a_key_chooses(tmp_path, flight):
     path = tmp_path / "two.bin"
     path.write_bytes(dataflash_of(flight, imus=2).bytes())
