@@ -118,14 +118,15 @@ def _covariances(
     """Covariance (F, F), N2, along each axis of what healthy compared flights are off the mean of the reference ones.
 
     spread  (k,) standard deviation of the reference flights, N. All compared flights are off by what that mean errs,
-    and those of a session by what it differs by.
+    and those of a session by what it differs by. Flights of unknown sessions may be of one, but compared and reference
+    flights of two.
     """
     flights, count = [*compared, *reference], len(compared)
     weights = np.array([e.mass * GRAVITY for e in flights])
     off = np.eye(len(flights))[:count]
     if reference:
         off[:, count:] -= 1.0 / len(reference)
-    sessions = np.array([e.session for e in flights])
+    sessions = np.array([e.session or f"unknown, {k < count}" for k, e in enumerate(flights)])
     shared = sessions[:, None] == sessions[None, :]
     both = load.of_sessions**2 * shared * np.outer(weights, weights)
     return [off @ (np.diag((load.spread * weights) ** 2 + s**2) + both) @ off.T for s in spread]

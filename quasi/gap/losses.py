@@ -58,8 +58,8 @@ def reject_losing_causes(
 ) -> tuple[list[Cause], list[tuple[Cause, Loss]], list[Loss]]:  # fmt: skip
     """Causes that stand, those rejected with what they made worse, and the losses that no rejection ends.
 
-    made  causes -> extended model; judge  extended model -> its losses; errors  extended model -> root mean square of
-    what it leaves of the held-out flights' forces and moments (6,)
+    made  causes -> extended model; judge  extended model -> its losses; errors  extended model -> root mean squares of
+    what it leaves of the held-out flights' forces and moments (6,), or (2, 6) with constant errors and without
     A cause that makes an axis of force or moment better by a larger factor than anything worse is none that is not
     there: its form errs, the loss limits the verdict, and the name stands.
     A loss that the model has without any cause (its own terms fitted anew) is no cause's fault, nor is one of trim,
@@ -116,16 +116,16 @@ def correcting_others(
     """Causes that leave the axes where they act no better than these are without any cause, the weakest first: they
     correct the form of another, which makes these axes worse. The strongest one is no such.
 
-    made  causes -> extended model; errors  extended model -> root mean square of what it leaves of the held-out
-    flights' forces and moments (6,); unjudged  causes that held-out flights do not show: these leave their axes as
-    they are
+    made  causes -> extended model; errors  extended model -> root mean squares of what it leaves of the held-out
+    flights' forces and moments (6,), or (2, 6) with constant errors and without, by which flights differ anyway: both
+    count; unjudged  causes that held-out flights do not show: these leave their axes as they are
     """
     kept, first = sorted(causes, key=lambda c: -c.test.wald), np.maximum(errors(made([])), 1e-300)
     gone = []
     while len(kept) > 1:
         grown = np.log(np.maximum(errors(made(kept)), 1e-300) / first)
         shown = [c for c in kept[1:] if not any(c is other for other in unjudged)]
-        poor = [c for c in shown if grown[seen_in(c.effect)].sum() >= 0.0]
+        poor = [c for c in shown if np.all(grown[..., seen_in(c.effect)].sum(axis=-1) >= 0.0)]
         if not poor:
             break
         gone.append(poor[-1])

@@ -20,6 +20,7 @@ from quasi.gap.levels.forces import unexplained
 from quasi.gap.levels.forces.beyond_references import left_beyond_references
 from quasi.gap.levels.forces.case import Case
 from quasi.gap.levels.forces.error_reduction import after, wrench_score
+from quasi.gap.levels.forces.findings import gusts
 from quasi.gap.levels.forces.held_out import made_of
 from quasi.gap.levels.forces.identify import Found
 from quasi.gap.levels.forces.left_out import residual_of_others
@@ -238,7 +239,8 @@ def _harmless(
         return made(causes, case.anew(causes))
 
     def errors(model: Model) -> np.ndarray:
-        return np.sqrt(wrench_score(case.held, after(model, case.model)).mean())
+        left = after(model, case.model)
+        return np.sqrt([wrench_score(case.held, left, centred).mean() for centred in (False, True)])
 
     for cause in correcting_others(settled.causes, model_of, errors, unjudged) if case.held else []:
         settled = _without(
@@ -329,7 +331,7 @@ def _next_to_unknown(case: Case, settled: Settled, found: Found, left: unexplain
     if not doubtful:
         return settled
     unknown = np.zeros(len(AXES))
-    for entry in left.entries or errors_beyond_references(case, settled, found):
+    for entry in _unknown(case, settled, found, left):
         if entry["since"] == "changed":
             k = AXES.index(entry["channel"])
             unknown[k] = max(unknown[k], entry["size"] ** 2)
@@ -343,7 +345,7 @@ def _fainter_than_unknown(case: Case, settled: Settled, found: Found, left: unex
     """Without names and ties where the axis that shows them most, or any axis where theirs disagree, holds something
     clearer that no cause explains. The functions that describe an unknown error have not its form: what they leave of
     it may look like anything."""
-    unknown = left.entries or errors_beyond_references(case, settled, found)
+    unknown = _unknown(case, settled, found, left)
     tied = {tie.tests[0].offer: tie for _, tie in found.ties}
 
     def why(cause: Cause) -> str:
@@ -362,6 +364,14 @@ def _fainter_than_unknown(case: Case, settled: Settled, found: Found, left: unex
     for cause in settled.causes:
         settled = _without(settled, cause, why(cause)) if why(cause) else settled
     return settled
+
+
+def _unknown(case: Case, settled: Settled, found: Found, left: unexplained.Left) -> Sequence[Mapping[str, Any]]:
+    """Entries of "unexplained": what a place or time orders, else what is left beyond the reference flights, where no
+    restless air makes it, which is a finding of its own."""
+    if left.entries or gusts(found.study, case.compared, [c.effect.id for c in settled.causes]):
+        return left.entries
+    return errors_beyond_references(case, settled, found)
 
 
 def drowned(own: np.ndarray, usual: np.ndarray, unknown: np.ndarray) -> bool:

@@ -13,6 +13,7 @@ from scipy.signal import lfilter
 
 from quasi.airframe import Airframe
 from quasi.errors import DataError
+from quasi.identification.regression import ends_within
 from quasi.terms.rotor_map import (
     DELAY_RANGE,
     DROP_RANGE,
@@ -229,7 +230,10 @@ class JointFit:
         return gain
 
     def _error(self, x: np.ndarray) -> np.ndarray:
-        return np.concatenate([part[2] / self.scale[axis] for axis, part in self.solve(x).items()])
+        return self._weighed(self.solve(x))
+
+    def _weighed(self, solved: Mapping[str, tuple[np.ndarray, np.ndarray, np.ndarray]]) -> np.ndarray:
+        return np.concatenate([part[2] / self.scale[axis] for axis, part in solved.items()])
 
     def update_noise(self, solved: Mapping[str, tuple[np.ndarray, np.ndarray, np.ndarray]]) -> None:
         """The autoregression of the residuals of each axis by least squares, and the std of what it cannot predict.
@@ -263,10 +267,10 @@ class JointFit:
         self.coefficients = {axis: part[0] for axis, part in solved.items()}
         self.scale = {a: s / np.sqrt(self.independent if a == "Fz" else 1.0) for a, s in self.sigma.items()}
         jacobian = np.empty((count * len(JOINT_AXES), len(self.x)))
-        for k, step in enumerate(1e-2 * self.size):
-            ends = [self._error(np.clip(self.x + sign * step * (np.arange(len(self.x)) == k), self.low, self.high))
-                    for sign in (1, -1)]  # fmt: skip
-            jacobian[:, k] = (ends[0] - ends[1]) / (2 * step)
+        ends = [ends_within(self.x, k, step, self.low, self.high) for k, step in enumerate(1e-2 * self.size)]
+        sides = [(self.solve(up), self.solve(down), apart) for up, down, apart in ends]
+        for k, (above, below, apart) in enumerate(sides):
+            jacobian[:, k] = (self._weighed(above) - self._weighed(below)) / apart
         scaled = jacobian * self.size
         normal = scaled.T @ scaled
         if np.linalg.cond(normal) > WORST_JOINT_CONDITION:
@@ -279,11 +283,7 @@ class JointFit:
         self.errors = {}
         for axis, part in solved.items():
             variance = self.scale[axis] ** 2 * part[1]
-            slopes = []
-            for k, step in enumerate(1e-2 * self.size):
-                moved = np.clip(self.x + step * (np.arange(len(self.x)) == k), self.low, self.high)
-                slopes.append((self.solve(moved)[axis][0] - part[0]) / step)
-            turn = np.array(slopes)
+            turn = np.array([(above[axis][0] - below[axis][0]) / apart for above, below, apart in sides])
             self.errors[axis] = np.sqrt(np.diag(variance + turn.T @ self.covariance @ turn))
 
     def criterion(self, independent: float) -> float:

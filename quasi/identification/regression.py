@@ -170,3 +170,12 @@ def _window(product: np.ndarray, pairs: np.ndarray) -> int:
     memory = np.maximum(2.0 * np.cumsum(rho) - 1.0, 0.0)
     enough = np.flatnonzero(np.arange(len(product)) >= MEMORY_WINDOW * memory)
     return max(int(enough[0]) if len(enough) else len(product), 1)
+
+
+def ends_within(
+    x: np.ndarray, k: int, step: float, low: np.ndarray, high: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, float]:
+    """Values (p,) with entry k a step higher and lower, no further than its bounds, and the distance of both."""
+    up, down = x.copy(), x.copy()
+    up[k], down[k] = min(x[k] + step, high[k]), max(x[k] - step, low[k])
+    return up, down, float(up[k] - down[k])

@@ -17,7 +17,7 @@ from scipy.optimize import least_squares
 
 from quasi.errors import DataError
 from quasi.identification.actuators import STEADY_VOLTAGE
-from quasi.identification.regression import memory_windows
+from quasi.identification.regression import ends_within, memory_windows
 from quasi.terms.rotor_map import DELAY_RANGE, EXPONENT_RANGE, FORMS, SHARES, SPEEDS, TAU_RANGE, lagged, shape
 
 FITTED_RATE = 125.0  # Hz of compared rows, as in the identification of actuators
@@ -109,10 +109,8 @@ def _fit(form: str, flights: Sequence[_Taught], with_voltage: bool) -> dict[str,
         lambda x: project(x)[1].ravel(), start, bounds=(low, high), x_scale=size, diff_step=1e-3, max_nfev=40
     ).x
     at, residual = project(x)
-    steps = 1e-2 * size
-    ends = [[project(np.clip(x + s * d * (np.arange(len(x)) == k), low, high))[1] for s in (1, -1)]
-            for k, d in enumerate(steps)]  # fmt: skip
-    jacobian = np.stack([((a - b) / (2 * d)).ravel() for (a, b), d in zip(ends, steps)], axis=1)
+    ends = [ends_within(x, k, step, low, high) for k, step in enumerate(1e-2 * size)]
+    jacobian = np.stack([((project(up)[1] - project(down)[1]) / d).ravel() for up, down, d in ends], axis=1)
     # neighbouring residuals resemble each other: each counts for the share that is its own
     lengths = np.cumsum([len(f.rows) for f in flights])
     series = np.split(np.arange(lengths[-1]), lengths[:-1])

@@ -12,6 +12,7 @@ import pandas as pd
 from quasi.errors import ConfigError
 from quasi.importing.command_fit import ROTOR_NUMBERS, identify_command_map, map_commands
 from quasi.tables import IDENTIFIED_MAP
+from quasi.terms.rotor_map import LOW_VOLTAGE
 
 
 def add_commanded_speeds(
@@ -38,8 +39,11 @@ def add_commanded_speeds(
     factor: np.ndarray | float = 1.0
     exponent, reference = float(given.get("voltage exponent", 0.0)), given.get("reference voltage")
     if exponent and reference:
-        if "battery_voltage" in frame:
-            factor = np.maximum(frame["battery_voltage"].to_numpy(float) / float(reference), 0.0) ** exponent
+        volts = frame["battery_voltage"].to_numpy(float) if "battery_voltage" in frame else np.zeros(len(frame))
+        known = volts > LOW_VOLTAGE * float(reference)  # one that is not measured is logged as 0
+        if known.any():
+            t = frame["t"].to_numpy(float)
+            factor = (np.interp(t, t[known], volts[known]) / float(reference)) ** exponent
         else:
             notes.append(f"{where}: no battery voltage is logged; the command map is used as at its reference voltage")
     mapped = {f"w{i}_CMD": factor * polynomial(frame[f"command{i}"].to_numpy(float)) for i in ROTOR_NUMBERS}

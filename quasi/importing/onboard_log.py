@@ -188,6 +188,8 @@ def gather(
     for name, one in series.items():
         if name.startswith("onboard"):
             for quantity, values in one.values.items():
+                if quantity == "battery_voltage":  # without a sensor 0 is logged, or where it drops out
+                    values = np.where(values > 0.0, values, np.nan)
                 if quantity not in _KNOWN_COLUMNS and np.isfinite(values).any():
                     others.setdefault(quantity, Track(one.t - zero, values[:, None]))
     names = tuple(f"w{i}" for i in range(1, 9) if f"w{i}" in others)

@@ -15,6 +15,7 @@ SIZE = 32  # numbers of a sketch
 # shared numbers from which two sketches are of one flight: of a recording and its fourth part. The standard error of
 # the share is at most 0.09 (Broder, Compression and Complexity of Sequences, 1997), and other flights share none
 LEAST_SHARED = 8
+HALF_STAMP = 0.5e-6  # s: logs are stamped in whole microseconds (ULog, Blackbox)
 OF_GYRO = "gyro"
 SKETCHED = {
     "accelerometer": ("ax", "ay", "az"), "attitude": ("qw", "qx", "qy", "qz"), "position": ("x", "y", "z"),
@@ -30,7 +31,8 @@ def sketches_of(gyro: Track, series: Mapping[str, Series]) -> dict[str, list[str
     found = {OF_GYRO: sketch(gyro.values)}
     for name, one in series.items():
         after = np.clip(np.searchsorted(gyro.t, one.t), 1, len(gyro.t) - 1)
-        near = np.where(one.t - gyro.t[after - 1] < gyro.t[after] - one.t, after - 1, after)
+        # midway between two, the one before: as written, and not as rounding has it
+        near = np.where(2.0 * one.t - gyro.t[after - 1] - gyro.t[after] < HALF_STAMP, after - 1, after)
         for label, quantities in SKETCHED.items():
             own = [one.values[q] for q in quantities if q in one.values]
             key = f"captured {label}" if name == "capture" else label

@@ -118,6 +118,12 @@ def drive_of(document: Mapping[str, Any]) -> dict[str, Any]:
     return known
 
 
+def has_lag_of_extension(document: Mapping[str, Any]) -> bool:
+    """Whether an extension of a model's document states time constants of its rotors."""
+    found = _collect_rotor_constants(document, str(document.get("id", "")))
+    return any(n in found for n in ("time constant", *LAG_FACTORS))
+
+
 def actuators_of(model: Model) -> Actuators:
     """Read lag, delay and speed limits of the rotors, those of extensions before the model's own.
 

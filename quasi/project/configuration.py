@@ -62,7 +62,7 @@ def check(document: Any, name: str, where: str, *part: str) -> tuple[dict[str, A
     except RecursionError:
         raise ConfigError(f"{where} is nested too deeply to be a configuration; correct it") from None
     if errors:
-        raise ConfigError(_sentence(errors[0], where))
+        raise ConfigError(_sentence(errors[0], where, whole=where if part else f"{where}: the file"))
     odd = _not_finite(document)
     if odd:
         raise ConfigError(f"{where}: {_place(odd[0])} is {odd[1]}, expected a finite number; correct it")
@@ -185,9 +185,9 @@ def _place(path: Any) -> str:
     return " / ".join(f"'{p}'" if isinstance(p, str) else f"entry {p + 1}" for p in path)
 
 
-def _sentence(error: jsonschema.ValidationError, where: str) -> str:
+def _sentence(error: jsonschema.ValidationError, where: str, whole: str) -> str:
     place = _place(error.absolute_path)
-    head = f"{where}: {place}" if place else f"{where}: the file"
+    head = f"{where}: {place}" if place else whole
     if error.validator == "additionalProperties":
         known = error.schema.get("properties", {})
         patterns = error.schema.get("patternProperties", {})

@@ -251,6 +251,18 @@ def test_a_configured_map_follows_the_battery_and_refuses_to_fall():
     assert add_commanded_speeds(logged, given, "a", [])[1] == {"source": "logged"}
 
 
+def test_a_battery_that_is_not_measured_does_not_stop_the_rotors():
+    """Betaflight logs 0 V without a sensor: commanded speeds were 0. Where it drops out, the rest says what it was."""
+    given = {"coefficients": [100.0, 2000.0], "voltage exponent": 0.8, "reference voltage": 16.0}
+    made = pd.DataFrame({"t": 0.01 * np.arange(100), **{f"command{i}": np.full(100, 0.5) for i in range(1, 5)}})
+    notes = []
+    mapped, _ = add_commanded_speeds(made.assign(battery_voltage=0.0), given, "a", notes)
+    assert np.all(mapped["w1_CMD"] == 1100.0) and any("battery" in n for n in notes)
+    volts = np.where(np.arange(100) % 9 == 5, 0.0, 15.0)
+    mapped, _ = add_commanded_speeds(made.assign(battery_voltage=volts), given, "a", [])
+    np.testing.assert_allclose(mapped["w4_CMD"], 1100.0 * (15.0 / 16.0) ** 0.8)
+
+
 def test_a_map_that_does_not_fit_is_told():
     flight = made(8, seconds=10)
     wrong = flight.assign(**{f"w{i}_CMD": 0.7 * flight[f"w{i}_CMD"] for i in range(1, 5)})

@@ -7,7 +7,8 @@ import pytest
 from log_formats import Ulog, dataflash_of, made_flight, ulog_of, write_bag, write_dataflash, write_ulog
 
 from quasi.errors import ConfigError, ReadError, cautions
-from quasi.importing.onboard_log import read_onboard
+from quasi.importing.onboard_log import gather, read_onboard
+from quasi.importing.series import Recording, Series
 from quasi.project import configuration
 from quasi.project.logbook import read_logbook
 from quasi.project.workflow import Folder
@@ -59,6 +60,20 @@ def test_columns_of_two_topics_are_two_sources(tmp_path, flight):
     mapping = {"sources": [{"name": "all", "frame": "FLU", "columns": columns}]}
     with pytest.raises(ReadError, match="sampled apart"):
         read(write_bag(tmp_path, flight), "rosbag", **{"table columns": mapping})
+
+
+@pytest.mark.parametrize(
+    ("chosen", "words"),
+    [(["IMU:1"], "log topics is ['IMU:1'], expected a section"),
+     ({"body rates": 1}, "'body rates' is 1, expected text"),
+     ({"body rate": "IMU:1"}, "log topics: unknown key 'body rate' (did you mean 'body rates'?)")],
+)  # fmt: skip
+def test_a_choice_of_topics_that_nothing_has_checked_is_checked_by_the_reader(tmp_path, flight, chosen, words):
+    path = tmp_path / "two.bin"
+    path.write_bytes(dataflash_of(flight, imus=2).bytes())
+    with pytest.raises(ConfigError) as error:
+        read(path, "ardupilot", **{"log topics": chosen})
+    assert words in str(error.value)
 
 
 def test_of_two_imus_one_is_used_the_other_listed_and_a_key_chooses(tmp_path, flight):
@@ -231,3 +246,16 @@ def test_a_bag_of_several_files_is_read_whole_by_one_of_them(tmp_path, flight):
     about.write_text(about.read_text().replace(f"- {path.name}\n", f"- {path.name}\n  - second.db3\n", 1))
     found = read(path, "rosbag")
     assert np.array_equal(found.series["onboard"].t, whole.series["onboard"].t)
+
+
+@pytest.mark.parametrize("every", [1, 50])
+def test_a_battery_of_0_volts_was_not_measured(every):
+    """Maps from commands to speeds took it for a battery that stops all rotors: an error of 740 % of the speeds."""
+    t, noise = 0.002 * np.arange(5000), np.random.default_rng(0).normal(0.0, 0.01, (3, 5000))
+    values = dict(zip("pqr", noise)) | {"ax": 0.0 * t, "ay": 0.0 * t, "az": -9.81 + 0.0 * t}
+    values["battery_voltage"] = np.where(np.arange(5000) % every == 0, 0.0, 15.0)
+    found = gather(Recording({"onboard": Series(t, values)}, {}, []), "a", []).others
+    assert ("battery_voltage" in found) == (every > 1)
+    if every > 1:
+        known = found["battery_voltage"].values
+        assert np.all(known[np.isfinite(known)] == 15.0)

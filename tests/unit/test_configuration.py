@@ -92,6 +92,15 @@ def test_faults_are_sentences(document, message):
     assert "\n" not in str(error.value)
 
 
+@pytest.mark.parametrize(
+    ("document", "message"), [({}, "table columns lacks the key 'sources'"), ([], "table columns is [], expected a")]
+)
+def test_a_section_is_no_file(document, message):
+    with pytest.raises(ConfigError) as error:
+        configuration.check(document, "quadrotor", "table columns", "properties", "table columns")
+    assert str(error.value).startswith(message)
+
+
 def test_key_of_ones_own_in_a_quadrotor_is_allowed_but_a_slip_of_the_pen_is_refused():
     beetle = {
         "rotor config": {"front left": 4, "front right": 2, "aft right": 1, "aft left": 3},

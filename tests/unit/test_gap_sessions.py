@@ -1,14 +1,19 @@
 """Sessions: where they come from, when they are the witnesses of a change, and what one session leaves open."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
+from scipy.stats import chi2
 from test_unexplained import flight, ground  # noqa: F401
 
+from quasi.attitude import GRAVITY
 from quasi.gap.causes import cg_offset, rotor_effectiveness
+from quasi.gap.constant_loads import LOADS, _covariances
 from quasi.gap.flights import level
 from quasi.gap.flights.sessions import date_of, session_sentence, sessions_of, units
 from quasi.gap.levels.forces.identify import compute_leading_p
-from quasi.gap.levels.forces.nuisance import session_nuisances
+from quasi.gap.levels.forces.nuisance import SESSION_SEATING, session_nuisances
 from quasi.gap.profile import Profile
 from quasi.gap.statistics import mixed
 from quasi.gap.statistics.candidates import Candidate, Columns
@@ -152,3 +157,18 @@ def test_what_one_session_has_in_all_its_flights_is_no_fault_of_them():
     )  # of the session, and of five flights with twice its variance
     large = [g * np.outer([1, 0.1, 0.1], [1, 0.1, 0.1]) for g in grams]  # ten times the bias
     assert level.SensorMixedModel(large, [True] * 5, layout, 1e6, sessions=["hall"] * 5).test(offer).p < 1e-6
+
+
+def test_compared_and_reference_flights_of_unknown_sessions_may_be_of_two():
+    """Where they were, the seating of the battery alone made a constant force ten times as often as the level says."""
+    rng, load, weight = np.random.default_rng(0), LOADS[1], 0.43 * GRAVITY
+    unknown = [SimpleNamespace(mass=0.43, session="") for _ in range(6)]
+    alarms = 0
+    for _ in range(1000):
+        seats = np.repeat(SESSION_SEATING * rng.standard_normal(2), 3)
+        force = weight * (seats + load.spread * rng.standard_normal(6))
+        spread = np.array([force[3:].std(ddof=1)])
+        (covariance,) = _covariances(load, unknown[:3], unknown[3:], spread)
+        away = force[:3] - force[3:].mean()
+        alarms += chi2.sf(away @ np.linalg.solve(covariance, away), 3) < 0.0025
+    assert alarms < 8  # 2.5 and three standard deviations; there had been 27

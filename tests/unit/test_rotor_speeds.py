@@ -16,6 +16,7 @@ from quasi.airframe import read_airframe
 from quasi.attitude import GRAVITY
 from quasi.errors import ConfigError, DataError, ShapeError
 from quasi.filtering.rotor_speeds import add_estimated_speeds, trim_of
+from quasi.identification import joint_fit
 from quasi.identification.flight_scatter import factor_error, variance_between
 from quasi.identification.geometry import contradicting_places
 from quasi.identification.joint_fit import JointFit, prepare_flight
@@ -124,6 +125,28 @@ def test_errors_of_factors_hold_the_scatter_between_flights():
     lonely = copy.copy(alike)
     lonely.flights = alike.flights[:1]
     assert factor_error(lonely, "Mx", 0.02) == (0.02, None)
+
+
+@pytest.mark.parametrize("bound", [0, 1])
+def test_errors_are_no_others_where_a_value_meets_its_bound(monkeypatch, bound):
+    """Differences that a bound cuts short are taken over what is left of them: the delay by itself, at either bound."""
+    airframe, point = to_draw(), (OPERATING, 15.0)
+    frame = flight(1, 20.0, hidden=0.004)
+    flights = [prepare_flight(frame, np.ones(len(frame), bool), airframe, MASS, "share", point)]
+
+    def errors():
+        fit = JointFit("linear", flights, airframe, True)
+        fit.x = np.clip(fit.x, fit.low, fit.high)
+        fit.run()
+        return fit.x[1], np.sqrt(fit.covariance[1, 1]), fit.errors["Mx"][0]
+
+    late, std, factor = errors()
+    ends = list(joint_fit.DELAY_RANGE)
+    ends[bound] = late
+    monkeypatch.setattr(joint_fit, "DELAY_RANGE", tuple(ends))
+    at, near, of_factor = errors()
+    assert at == pytest.approx(late, abs=1e-3)
+    assert near == pytest.approx(std, rel=0.2) and of_factor == pytest.approx(factor, rel=0.2)
 
 
 def test_errors_of_rotor_places_hold_the_error_that_is_common_to_all_rotors(found):

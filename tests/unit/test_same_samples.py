@@ -56,6 +56,20 @@ def test_a_flight_is_itself_in_any_part_and_no_other(step):
     assert find_same_flights({"1": whole, **others, "again": whole}) == [("1", "again")]
 
 
+@pytest.mark.parametrize("late", [0.0, 0.3e-3, 0.5e-3, 0.7e-3])
+def test_a_flight_is_itself_however_its_stamps_are_rounded(late):
+    """Speeds midway between two samples of the gyro: which one is nearer was a matter of the last digit."""
+    random = np.random.default_rng(1)
+    gyro, speeds = random.standard_normal((4000, 3)), random.standard_normal((4, 2000))
+    t, later = 12.345 + 1e-3 * np.arange(4000), 12.345 + late + 2e-3 * np.arange(2000)
+
+    def sketched(stamped):
+        values = {f"w{i + 1}": speeds[i] for i in range(4)}
+        return sketches_of(Track(stamped(t), gyro), {"onboard": Series(stamped(later), values)})
+
+    assert is_same_flight(sketched(lambda x: np.round(x, 6)), sketched(lambda x: x - 12.345))
+
+
 def test_logs_at_rest_and_short_ones_are_no_one_flight():
     still = sketch(np.zeros((5000, 3)))
     assert not is_same_flight(still, still) and sketch(np.zeros((2, 3)))["gyro"] == []

@@ -12,6 +12,7 @@ from test_wrench_level import EFFECTS
 
 from quasi.gap.catalogue import catalogue, whole_of
 from quasi.gap.effect import vehicle_of
+from quasi.gap.levels.forces import design, nonlinear
 from quasi.gap.levels.forces import search as sought
 from quasi.gap.levels.forces.axis_consistency import Voice
 from quasi.gap.selection import Named, Tie
@@ -83,6 +84,29 @@ def test_strong_wind_is_found_where_its_slope_in_still_air_hardly_shows_it(groun
     (named,) = found.named
     assert named.test.offer[:2] == ("wind", "changed") and not found.ties
     assert named.test.value[:2] == pytest.approx([4.8, -3.6], abs=0.3)
+
+
+def test_a_cause_that_stands_alone_is_sized_by_deviations_from_what_is_neutral(ground, monkeypatch):  # noqa: F811
+    """A scale of speeds of 0.86, for 12 magnets in place of 14: neutral is 1, and the deviation is below 0."""
+    model, effect = Model(ground[1].document, "test"), catalogue()["rotor_speed_scale"]
+    vehicle, compared = vehicle_of(model), np.arange(8) >= 4
+
+    def made(k):
+        plain = flight(ground, k)
+        return dataclasses.replace(
+            plain, measured=plain.measured + (whole_of(effect, plain, vehicle, {"scale": -1 / 7}) if k >= 4 else 0.0)
+        )
+
+    tried = []
+
+    def recorded(study, effects, vehicle, values):
+        tried.extend(own["rotor_speed_scale"]["scale"] for own in values if "rotor_speed_scale" in own)
+        return design.moved(study, effects, vehicle, values)
+
+    monkeypatch.setattr(nonlinear, "moved", recorded)
+    study = design.gather_design([made(k) for k in range(8)], {effect.id: effect}, vehicle)
+    nonlinear.found_alone(study, {effect.id: effect}, vehicle, compared, 0.01)
+    assert tried[-1] == pytest.approx(-1 / 7, abs=0.02)
 
 
 @pytest.mark.parametrize(

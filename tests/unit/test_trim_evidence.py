@@ -109,6 +109,21 @@ def test_measured_speeds_make_their_thrust_at_any_voltage():
     assert (found.document["word"], found.document["names"]) == ("named", ["mass"])
 
 
+@pytest.mark.parametrize(
+    ("volts", "word", "left_out"),
+    [({"a": 0.0, "b": 0.0, "c": 0.0}, "open", []),  # no sensor: 0 V is logged
+     ({"a": 15.0, "b": None, "c": 15.0}, "open", ["b0", "b1"]),
+     ({"a": 15.0, "b": 15.0, "c": 0.0}, "not asked", ["c0", "c1"])],
+)  # fmt: skip
+def test_commands_are_compared_with_commands_and_volts_with_volts(volts, word, left_out):
+    """Where one reference flight had no voltage, the others were asked for 280 % more thrust: a tie of a mass."""
+    tables = {k: table([0.5] * 4, i).rename(columns={f"w{i}": f"command{i}" for i in range(1, 5)})
+              for i, k in enumerate(SESSIONS)}  # fmt: skip
+    tables = {k: t if volts[k[0]] is None else t.assign(battery_voltage=volts[k[0]]) for k, t in tables.items()}
+    document = gather_trim(tables, ROLES_OF, SESSIONS, vehicle()).document
+    assert (document["word"], sorted(document["left out"])) == (word, left_out)
+
+
 def commanded(thrust):
     """Trim of flights that hold commands, of which compared ones are asked for `thrust` times as much."""
     tables = {

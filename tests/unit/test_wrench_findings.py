@@ -1,13 +1,20 @@
 """Restless air: its size is the one that was planted; sensors' noise, calm air and a model's error are none."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from scipy.signal import lfilter
 from test_unexplained import RATE, ROWS, flight, ground  # noqa: F401
 
+from quasi.gap import verdict
+from quasi.gap.catalogue import catalogue
 from quasi.gap.effect import vehicle_of
+from quasi.gap.levels.forces.case import Case
 from quasi.gap.levels.forces.design import gather_design
 from quasi.gap.levels.forces.findings import gusts
+from quasi.gap.levels.rollouts.confirmation import Confirmation, Settled
+from quasi.gap.statistics.candidates import Candidate
 
 SLOPE = 0.15  # N s/m, of the model of these flights along each axis
 
@@ -54,3 +61,22 @@ def test_more_than_in_the_reference_flights_is_remarked(ground):  # noqa: F811
 
 def test_an_error_along_one_axis_alone_is_no_air(ground):  # noqa: F811
     assert found(ground, air(1.5, (1.0, 0.1, 0.1))) == []
+
+
+@pytest.mark.parametrize("axes", [(1.0, 1.0, 1.0), (1.0, 0.1, 1.0)])
+def test_restless_air_is_nothing_unknown_that_a_name_gives_way_to(ground, axes):  # noqa: F811
+    """The air is a finding. Less along one axis, it is an error that nothing explains, and clearer than the name."""
+    learning = [flight(ground, s, air(0.1)) for s in (11, 12, 13, 14)]
+    learning += [flight(ground, s, air(1.2, axes)) for s in (1, 2, 3, 4)]
+    held = [flight(ground, s, air(1.2, axes)) for s in (5, 6)]
+    compared, model, effect = [False] * 4 + [True] * 4, ground[1], catalogue()["thrust_factor"]
+    vehicle, settings = vehicle_of(model), {"false alarm rate": 0.01, "extended model ID": "x"}
+    case = Case(model, {effect.id: effect}, vehicle, learning, compared, held, {}, [], False, settings)
+    study = gather_design(learning, {effect.id: effect}, vehicle)
+    test = SimpleNamespace(p=3e-4, offer=Candidate(effect.id, "changed", (0,)))
+    cause = SimpleNamespace(effect=effect, since="changed", value={"factor": -0.05}, apart=1.0, test=test)
+    settled = Settled([cause], [], {(effect.id, "changed"): Confirmation("", 1.0, 0.1, 5.0)}, {}, [])
+    found, left = SimpleNamespace(study=study, ties=[], stand_ins=[]), SimpleNamespace(entries=[])
+    stands = bool(gusts(study, compared, [effect.id]))
+    assert stands == (axes[1] == 1.0)
+    assert verdict._fainter_than_unknown(case, settled, found, left).causes == ([cause] if stands else [])

@@ -31,12 +31,11 @@ class Residuals(NamedTuple):
 
 
 def level_tables(
-    flights: Sequence[Flown], residuals: Sequence[Residuals], units: Mapping[str, str], parameters: pd.DataFrame,
-    rate: float,
-) -> tuple[dict[str, pd.DataFrame], dict[str, float]]:  # fmt: skip
+    flights: Sequence[Flown], residuals: Sequence[Residuals], units: Mapping[str, str], parameters: pd.DataFrame
+) -> tuple[dict[str, pd.DataFrame], dict[str, float]]:
     """Tables "residuals" (rows), "channels" (rms, whiteness), "where", "parameters", "spectra"; rms of "floor".
 
-    units  of the channels, in the order of the residuals' columns; parameters  of the flights; rate  Hz of the rows
+    units  of the channels, in the order of the residuals' columns; parameters  of the flights
     """
     rows, channels = [], []
     for flown, one in zip(flights, residuals):
@@ -58,7 +57,7 @@ def level_tables(
         "channels": pd.DataFrame(channels),
         "where": where(compared, units, list(residuals[0].series)),
         "parameters": parameters,
-        "spectra": spectra(rows, [one.breaks for one in residuals], rate),
+        "spectra": spectra(rows, [one.breaks for one in residuals]),
     }
     return found, dict(zip(units, map(float, floor)))
 
@@ -131,30 +130,30 @@ def whiteness(series: Mapping[str, np.ndarray], t: np.ndarray, breaks: np.ndarra
     return found
 
 
-def spectra(tables: Sequence[pd.DataFrame], breaks: Sequence[np.ndarray], rate: float) -> pd.DataFrame:
+def spectra(tables: Sequence[pd.DataFrame], breaks: Sequence[np.ndarray]) -> pd.DataFrame:
     """Power densities of all columns named <channel>_<what>, over all stretches without gaps.
 
-    tables  one per flight, sampled at `rate` Hz; breaks (n,) bool, True where a stretch begins
+    tables  one per flight, with its uniform times t; breaks (n,) bool, True where a stretch begins
     Returns frequency (Hz), channel, and one column for each <what>, in squared units per Hz; empty where every stretch
-            is shorter than SEGMENT. Source: Welch, IEEE Trans. Audio Electroacoustics 15, 1967.
+            is shorter than SEGMENT. Segments are alike in seconds: flights of several rates share their lowest
+            frequencies. Source: Welch, IEEE Trans. Audio Electroacoustics 15, 1967.
     """
-    length = round(SEGMENT * rate)
     names = [c for c in tables[0] if c.endswith(("_before", "_after", "_floor"))]
-    total: dict[str, np.ndarray] = {}
-    weight, frequency = 0.0, None
+    found: list[tuple[np.ndarray, np.ndarray, float]] = []
     for table, begins in zip(tables, breaks):
+        rate = 1.0 / float(np.median(np.diff(table["t"]))) if len(table) > 1 else 0.0
+        length = round(SEGMENT * rate)
         for part in stretches(begins):
-            if part.stop - part.start < length:
-                continue
-            frequency, power = welch(table[names].to_numpy()[part], rate, nperseg=length, axis=0, detrend="constant")
-            share = float(part.stop - part.start)
-            weight += share
-            for i, name in enumerate(names):
-                total[name] = total.get(name, 0.0) + share * power[:, i]
-    if frequency is None:
+            if length and part.stop - part.start >= length:
+                values = table[names].to_numpy()[part]
+                frequency, power = welch(values, rate, nperseg=length, axis=0, detrend="constant")
+                found.append((frequency, power, (part.stop - part.start) / rate))
+    if not found:
         return pd.DataFrame(columns=["frequency", "channel"])
+    common = min((frequency for frequency, *_ in found), key=len)
+    mean = np.average([power[: len(common)] for _, power, _ in found], axis=0, weights=[s for *_, s in found])
     rows = []
     for channel in dict.fromkeys(n.rsplit("_", 1)[0] for n in names):
-        columns = {n.rsplit("_", 1)[1]: total[n] / weight for n in names if n.rsplit("_", 1)[0] == channel}
-        rows.append(pd.DataFrame({"frequency": frequency, "channel": channel, **columns}))
+        own = {n.rsplit("_", 1)[1]: mean[:, i] for i, n in enumerate(names) if n.rsplit("_", 1)[0] == channel}
+        rows.append(pd.DataFrame({"frequency": common, "channel": channel, **own}))
     return pd.concat(rows, ignore_index=True)

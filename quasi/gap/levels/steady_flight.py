@@ -44,9 +44,14 @@ def asked_of_rotors(frame: pd.DataFrame) -> tuple[np.ndarray, str]:
     if not all(c in frame for c in SHARES):
         raise ValueError("neither speeds nor commands of the four rotors are known")
     commands = np.maximum(frame[list(SHARES)].to_numpy(float), 0.0)
-    if "battery_voltage" in frame:
+    if _knows_voltage(frame):
         commands = commands * frame["battery_voltage"].to_numpy(float)[:, None]
     return commands**2, "commands"
+
+
+def _knows_voltage(frame: pd.DataFrame) -> bool:
+    """Whether the battery's voltage was measured: without a sensor 0 V is logged."""
+    return "battery_voltage" in frame and bool((frame["battery_voltage"].to_numpy(float) > 0.0).any())
 
 
 def steady_flight(frame: pd.DataFrame, radius: float | None = None) -> SteadyFlight:
@@ -73,7 +78,7 @@ def steady_flight(frame: pd.DataFrame, radius: float | None = None) -> SteadyFli
     seconds = float(rows.sum() * dt)
     if seconds < MIN_STEADY:
         raise ValueError(f"{seconds:.1f} s of steady flight, {MIN_STEADY:g} s are needed")
-    mapped = source == "commands" and "battery_voltage" in frame
+    mapped = source == "commands" and _knows_voltage(frame)
     volts = float(np.mean(frame["battery_voltage"].to_numpy(float)[rows])) if mapped else np.nan
     return SteadyFlight(asked[rows].mean(axis=0), volts, seconds, len(runs_of(touched)), source)
 

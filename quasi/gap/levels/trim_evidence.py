@@ -32,6 +32,7 @@ TRIM_CHANNELS = {"rotor_effectiveness": ["Fz", "Mx", "My"], "mass": ["Fz"], "thr
 NEEDLESS = {"mass": "other total thrust", "cg": "moved centre of gravity", "yaw": "tilted rotor"}
 OF_MOMENTS = {"cg_offset": "cg", "rotor_tilt": "yaw"}  # causes of a constant moment: their hypotheses
 TRIM = "trim"  # id of the finding
+NO_VOLTAGE = "its battery voltage is unknown, that of other flights is known"
 OF_TOTAL_THRUST = (*OF_THE_SAME_THRUST, SAG)  # of all rotors alike
 
 
@@ -54,14 +55,18 @@ def gather_trim(
     masses  {key: kg} that flights were logged with, where they differ: thrust counts relative to the logged weight, so
             that a wrong logged mass shows as the mass that a correction of it takes off, and a right one does not show
     """
-    flights, facts, lacking = [], {}, {}
+    flights, facts, lacking, found = [], {}, {}, {}
     for key, table in tables.items():
         if roles.get(key) not in ("compared", "reference"):
             continue
         try:
-            steady = steady_flight(table, vehicle.radius)
+            found[key] = steady_flight(table, vehicle.radius)
         except ValueError as error:
             lacking[key] = str(error)
+    mapped = any(np.isfinite(steady.volts) for steady in found.values())
+    for key, steady in found.items():
+        if mapped and steady.source == "commands" and not np.isfinite(steady.volts):
+            lacking[key] = NO_VOLTAGE
             continue
         weight = (masses or {}).get(key, np.nan) / vehicle.mass
         thrust = steady.thrust / (weight if np.isfinite(weight) and weight > 0.0 else 1.0)
@@ -71,6 +76,7 @@ def gather_trim(
     missing = [r for r in ("reference", "compared") if not any(f.is_compared is (r == "compared") for f in flights)]
     if missing or len({f["source"] for f in facts.values()}) > 1:
         why = f"no {missing[0]} flight has a steady part" if missing else "some flights hold speeds, others commands"
+        why += f", or {NO_VOLTAGE}" if missing and NO_VOLTAGE in lacking.values() else ""
         return TrimEvidence(document | {"text": f"The trim in steady flight was not compared: {why}."})
     geometry = geometry_of(np.asarray(vehicle.hubs)[:, :2], np.asarray(vehicle.spin))
     found = compare(flights, hypotheses(geometry), geometry)

@@ -13,6 +13,7 @@ from quasi.importing.readers.signals import LogFile
 from quasi.importing.readers.table_mapping import read_mapping
 from quasi.importing.readers.table_reader import read_signals
 from quasi.importing.series import Recording
+from quasi.project import configuration
 
 
 def topics_reader(
@@ -35,7 +36,9 @@ def topics_reader(
         log = opens(request.path, notes)
         mapping = request.quadrotor.get("table columns")
         if not isinstance(mapping, Mapping):
-            chosen = request.quadrotor.get("log topics") or {}
+            # `quasi decode` takes a file that nothing has checked
+            given = request.quadrotor.get("log topics") or {}
+            chosen, _ = configuration.check(given, "quadrotor", "log topics", "properties", "log topics")
             mapping = plan_known(log.topics, known, chosen, request.path, notes)
         plan = read_mapping(mapping, request.poles or DEFAULT_POLES, "table columns", log_has_clock=True)
         signals = log.samples_of(plan.names, notes)

@@ -89,7 +89,9 @@ def saturated(flights: Sequence[Flown], kind: str) -> list[dict[str, Any]]:
 
 def weak(flights: Sequence[Flown], fits: Sequence[DriveFit]) -> list[dict[str, Any]]:
     """A rotor that turns slower (or faster) at the same command than the others do, beyond the reference flights."""
-    odd = _odd_rotor(flights, np.array([d.values[SHARE:LAG] for d in fits]), np.full((len(fits), 4), ALIKE))
+    centred = np.eye(4) - 0.25  # apart from the mean of the rotors, which is the map's
+    errors = [np.sqrt(np.diag(centred @ d.covariance()[SHARE:LAG, SHARE:LAG] @ centred)) for d in fits]
+    odd = _odd_rotor(flights, np.array([d.values[SHARE:LAG] for d in fits]), np.hypot(ALIKE, errors))
     if odd is None or abs(0.75 * odd[1]) < WEAK:
         return []
     i, size, std = odd
@@ -129,7 +131,11 @@ def _odd_rotor(flights: Sequence[Flown], values: np.ndarray, doubt: np.ndarray) 
     apart = values - values.mean(axis=1, keepdims=True)
     now, before = apart[compared], apart[~compared]
     usual = before.mean(axis=0) if len(before) else np.zeros(4)
-    scatter = np.maximum(now.std(axis=0), np.sqrt(np.mean(doubt**2, axis=0)))
+    # two flights hardly show how much flights differ; those of all rotors, and of either kind, show it together
+    groups = [group for group in (now, before) if len(group)]
+    squares, freedom = sum(group.var(axis=0).mean() * len(group) for group in groups), len(apart) - len(groups)
+    together = np.sqrt(squares / freedom) if freedom else 0.0
+    scatter = np.maximum(np.maximum(now.std(axis=0), together), np.sqrt(np.mean(doubt**2, axis=0)))
     std = scatter * np.sqrt(1.0 / len(now) + (1.0 / len(before) if len(before) else 0.0))
     size = now.mean(axis=0) - usual
     i = int(np.argmax(np.abs(size)))

@@ -72,7 +72,7 @@ class DriveFit(NamedTuple):
         """
         inverse = self._inverse()
         scores = np.einsum("ncp,nc->np", self.slopes, self.residual)
-        meat = bartlett(scores, [np.arange(len(scores))], round(RESIDUAL_MEMORY * self.rate))
+        meat = bartlett(scores, [np.arange(len(scores))], _memory(self.rate))
         flat = self.slopes.reshape(-1, len(CONSTANTS))
         # a value that is only held may be off by its looseness, noise / sqrt(held)
         return inverse @ (meat + LEAST_DRIVE_NOISE**2 * flat.T @ flat + self.noise**2 * np.diag(self.held)) @ inverse
@@ -195,3 +195,8 @@ def fit_drive(flown: Flown, kind: str, start: Belief) -> DriveFit:
         volts is not None and float(np.std(log.ratio[log.rows])) > LEAST_SAG, (noise / loose) ** 2, noise, log.rate,
         plain,
     )  # fmt: skip
+
+
+def _memory(rate: float) -> int:
+    """Rows over which residuals may be correlated, at `rate` Hz; one alone where telemetry is slower than that."""
+    return max(round(RESIDUAL_MEMORY * rate), 1)

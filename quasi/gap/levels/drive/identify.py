@@ -2,8 +2,9 @@
 
 Each flight's constants are those that predict its speeds best; then they are compared with the model's and with
 one another, with what motors and telemetry differ in between flights as nuisance. A model's constants were found by
-output error, so they count with what prediction finds differently in the flights at hand. A late command and late
-telemetry look the same here; what import found of the telemetry's age on its own, from the motion, splits them.
+output error, so they count with what prediction finds differently in the flights at hand; in its own flights that may
+have been less. A late command and late telemetry look the same here; what import found of the telemetry's age on its
+own, from the motion, splits them.
 """
 
 from collections.abc import Mapping, Sequence
@@ -26,6 +27,7 @@ from quasi.gap.levels.drive.fit import (
     fit_drive,
     reference_voltage,
 )
+from quasi.gap.levels.drive.prediction import DELAY
 from quasi.gap.levels.selected import report_selection
 from quasi.gap.profile import Profile
 from quasi.gap.selection import EXACT, Selection, select_causes
@@ -33,11 +35,12 @@ from quasi.gap.statistics.blocks import BLOCK
 from quasi.gap.statistics.candidates import Candidate, Columns
 from quasi.importing.imu_and_telemetry import YAW_EXPLAINED
 from quasi.model.columns import ROTORS
-from quasi.model.extensions import are_estimated
+from quasi.model.extensions import are_estimated, has_lag_of_extension
 from quasi.terms.rotor_map import ROTOR_NUMBERS, SHARES
 
 EXPONENT = CONSTANTS.index("exponent")
 LAGS = tuple(f"lag{i}" for i in ROTOR_NUMBERS)
+TIMING = ("up", "down", "delay", *LAGS)  # constants that output error errs in
 # constants that a cause changes
 DRIVE_CAUSES = {"motor_lag": ("up", "down", *LAGS), "command_delay": ("delay",), "telemetry_delay": ("late",),
           "battery_sag": ("exponent",)}  # fmt: skip
@@ -94,6 +97,7 @@ def examine(flights: Sequence[Flown], document: Mapping[str, Any], options: Mapp
         return level
     constants = [whole(f, d) for f, d in zip(used, fits)]
     first = [k for k, f in enumerate(used) if not f.compared] or list(range(len(used)))
+    biased = np.zeros(len(CONSTANTS))
     if belief is None or not is_known:
         middle = np.median([constants[k] for k in first], axis=0)
         # reference flights of constant voltage have no information on the battery, so its exponent is no change
@@ -108,9 +112,15 @@ def examine(flights: Sequence[Flown], document: Mapping[str, Any], options: Mapp
         # flights are compared with the age of their telemetry in the delay; an older model does not say if its own is
         at = belief.values.copy()
         at[2] += {True: 1.0, False: 0.0, None: 0.5}[belief.aged] * USUAL_AGE
-        timing = [n in (*LAGS, "up", "down", "delay") for n in CONSTANTS]
-        at[timing] += np.median([(fits[k].values - fits[k].plain)[timing] for k in first], axis=0)
+        timing = np.array([n in TIMING for n in CONSTANTS])
+        shift = timing * np.median([fits[k].values - fits[k].plain for k in first], axis=0)
+        if has_lag_of_extension(document):
+            shift[np.arange(len(CONSTANTS)) != DELAY] = 0.0  # an earlier comparison found them by prediction
+        at += shift
         reference = belief._replace(values=at)
+        # of flights that were flown otherwise, output error may have been off by less
+        trained = set((document.get("flights") or {}).get("training") or ())
+        biased = shift if not trained.issuperset(used[k].key for k in first) else biased
     if kind == "speeds" or not any(d.volts_vary for f, d in zip(used, fits) if f.compared):
         why = ("commands are speeds, which the speed controllers hold whatever the battery" if kind == "speeds"
                else "no compared flight logs a battery voltage that varies")  # fmt: skip
@@ -125,11 +135,12 @@ def examine(flights: Sequence[Flown], document: Mapping[str, Any], options: Mapp
     ]
 
     doubt = _doubt(document)
-    usual = usual_spreads(reference.values, 1.0 / min(d.rate for d in fits))
+    interval = 1.0 / min(d.rate for d in fits)
+    usual = usual_spreads(reference.values, interval)
     sessions = [(options.get("sessions") or {}).get(f.key, "") for f in used]
 
     def build(grams: list[np.ndarray]) -> SensorMixedModel:
-        return _mixed(grams, compared, asked, reference, doubt, sessions, usual)
+        return _mixed(grams, compared, asked, reference, doubt, sessions, usual, biased)
 
     mixed = build([p.gram() for p in products])
     level.tests = mixed
@@ -146,7 +157,7 @@ def examine(flights: Sequence[Flown], document: Mapping[str, Any], options: Mapp
     volts = belief and belief.voltage
 
     def parameters(offer: Candidate) -> dict[str, dict[str, Any]]:
-        return _parameters(mixed, selection, offer, students, volts)
+        return _parameters(mixed, selection, offer, students, volts, timing_error(interval))
 
     alone = sorted(selection.marginal.values(), key=lambda test: test.wald)
     level.healthy["alone"] = {
@@ -217,15 +228,19 @@ def _doubt(document: Mapping[str, Any]) -> float:
 
 
 def usual_spreads(values: np.ndarray, interval: float) -> dict[str, float]:
-    """What constants near `values` (11,) differ by between healthy flights with a sample each `interval` s, by NORMAL.
+    """What constants near `values` (15,) differ by between healthy flights with a sample each `interval` s, by NORMAL.
 
-    When between two samples a command changed, nobody knows: a uniform distribution, of the interval over sqrt(12). By
-    as much, lags and delay may differ with the manoeuvre.
+    By what is unknown of the time between two samples, lags and delay may differ with the manoeuvre.
     """
-    unknown = interval / np.sqrt(12.0)
+    unknown = timing_error(interval)
     own = {"up": (values[0], unknown), "down": (values[1], unknown), "delay": (1.0, unknown)}
     spreads = {n: (s, *own.get(n, (1.0, 0.0))) for n, s in NORMAL.items()}
     return {n: float(np.hypot(share * unit, timing)) for n, (share, unit, timing) in spreads.items()}
+
+
+def timing_error(interval: float) -> float:
+    """Standard deviation, s, of when between two samples a command changed: uniform over the interval."""
+    return interval / float(np.sqrt(12.0))
 
 
 def _age(flown: Flown) -> tuple[float, float, float | None]:
@@ -288,8 +303,9 @@ def whole(flown: Flown, fit: DriveFit) -> np.ndarray:
 
 def _mixed(
     grams: Sequence[np.ndarray], compared: np.ndarray, asked: Sequence[str], reference: Belief,
-    doubt: float, sessions: Sequence[str], usual: Mapping[str, float],
+    doubt: float, sessions: Sequence[str], usual: Mapping[str, float], biased: np.ndarray,
 ) -> SensorMixedModel:  # fmt: skip
+    """biased (15,), by what the model's constants may be off for the way in which they were found."""
     lags = *COLUMNS["motor_lag"], ALIKE["motor_lag"]
     place = {name: 1 + i for i, name in enumerate([*CONSTANTS, "late", *lags])}
     scale = {"up": reference.values[0], "down": reference.values[1]}
@@ -301,7 +317,10 @@ def _mixed(
     nuisance = list(range(width, width + len(NORMAL)))
     shared = list(range(width + len(NORMAL), len(source)))
     known = BELIEVED if reference.aged is None else {**BELIEVED, "delay": AGE_SPREAD}
-    believed = np.array([s * scale.get(n, 1.0) * (doubt if n in scale else 1.0) for n, s in known.items()])
+    off = dict(zip(CONSTANTS, biased))
+    believed = np.array(
+        [np.hypot(s * scale.get(n, 1.0) * (doubt if n in scale else 1.0), off.get(n, 0.0)) for n, s in known.items()]
+    )
     tested = {c: [place[n] for n in COLUMNS.get(c, DRIVE_CAUSES[c])] for c in asked}
     columns = Columns(shared, nuisance, np.array(spread), tested, alike={c: place[n] for c, n in ALIKE.items()})
     prior = np.diag(1.0 / believed**2)
@@ -310,11 +329,12 @@ def _mixed(
 
 
 def _parameters(
-    mixed: SensorMixedModel, selection: Selection, offer: Candidate, fits: Sequence[DriveFit], volts: float | None
-) -> dict[str, dict[str, Any]]:
+    mixed: SensorMixedModel, selection: Selection, offer: Candidate, fits: Sequence[DriveFit], volts: float | None,
+    timing: float,
+) -> dict[str, dict[str, Any]]:  # fmt: skip
     """As they are stated: time constant and exponent absolute, of the compared flights; delays beyond the reference.
 
-    volts  at which the exponent's map holds
+    volts  at which the exponent's map holds; timing  error of a lag, s, that flights of the same manoeuvres share
     """
     test = selection.test(mixed, offer)
     # a flight whose voltage stays holds the exponent that its fit began with
@@ -329,7 +349,7 @@ def _parameters(
     if offer.cause == "motor_lag":
         each = values[:, :2].mean(axis=1)
         std = max(float(each.std()) * share, NORMAL["up"] * float(each.mean()) * share / np.sqrt(2.0))
-        return {"time_constant": {"value": float(each.mean()), "std": float(std), "unit": "s"}}
+        return {"time_constant": {"value": float(each.mean()), "std": float(np.hypot(std, timing)), "unit": "s"}}
     if offer.cause == "battery_sag":
         each = values[:, EXPONENT]
         std = max(float(each.std()) * share, NORMAL["exponent"] * share)
@@ -339,7 +359,7 @@ def _parameters(
 
 
 def _tables(level: Level, used: Sequence[Flown], fits: Sequence[DriveFit], apart: Sequence[np.ndarray]) -> None:
-    """Tables of measured minus modelled speeds, see `level_tables`. apart  (11,) per flight: minus the reference's"""
+    """Tables of measured minus modelled speeds, see `level_tables`. apart  (15,) per flight: minus the reference's"""
     residuals, parameters = [], []
     bands = [fit.in_band() for fit in fits]
     for flown, fit, some, away in zip(used, fits, bands, apart):
@@ -353,4 +373,4 @@ def _tables(level: Level, used: Sequence[Flown], fits: Sequence[DriveFit], apart
             if known
         ]  # fmt: skip
     units = dict.fromkeys(ROTORS, "rad/s")
-    level.tables, level.noise_floor = level_tables(used, residuals, units, pd.DataFrame(parameters), bands[0].rate)
+    level.tables, level.noise_floor = level_tables(used, residuals, units, pd.DataFrame(parameters))

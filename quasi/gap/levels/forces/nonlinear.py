@@ -97,8 +97,8 @@ def _alone(
         test = mixed.test(Candidate(name, since, tuple(range(len(effect.fitted)))), (), mixed.pooled(since))
         if look == 0 and test.p >= rate:
             return None
-        limits = [effect.parameters[p] for p in effect.fitted]
-        new = {p: float(np.clip(v, q.low, q.high)) for p, v, q in zip(effect.fitted, test.value, limits)}
+        limits = effect.limits(vehicle).ranges
+        new = {p: float(np.clip(v, *ends)) for p, v, ends in zip(effect.fitted, test.value, limits)}
         if look == 0:
             first, start = test.unlikely, new
         elif distance(effect, new, at) <= STAYS:

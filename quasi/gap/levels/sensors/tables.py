@@ -7,7 +7,7 @@ import pandas as pd
 
 from quasi.gap.flights.level import Flown
 from quasi.gap.flights.residual_tables import Residuals, level_tables
-from quasi.gap.levels.sensors.columns import KEPT_RATE, SENSED_CHANNELS, Weak
+from quasi.gap.levels.sensors.columns import SENSED_CHANNELS, Weak
 from quasi.gap.levels.sensors.products import added, alone, blocks_of, least_squares
 from quasi.gap.statistics.candidates import Candidate, Columns, Test
 from quasi.gap.statistics.whitening import Whitener
@@ -56,4 +56,4 @@ def tables(
             if std[i] > 0 and gram[i, i] > 0
         ]  # fmt: skip
     units = {SENSED_CHANNELS[c]: "rad/s" if c < 3 else "m/s2" for c in shown}
-    return level_tables(flights, residuals, units, pd.DataFrame(parameters), KEPT_RATE)
+    return level_tables(flights, residuals, units, pd.DataFrame(parameters))
