@@ -18,6 +18,7 @@ from quasi.gap.flights.evidence import model_wrench
 from quasi.gap.flights.gathering import gather
 from quasi.gap.flights.instruments import shown
 from quasi.gap.levels.drive.fit import belief_of
+from quasi.gap.levels.drive.prediction import own_lag
 from quasi.gap.levels.forces.identify import WEIGHING, _carried
 from quasi.model.columns import STATE
 from quasi.model.extensions import (
@@ -291,3 +292,27 @@ def test_a_damaged_wind_is_told(wind):
     document = {**base_of("withGravity").document, "extensions": [{"id": "wind", "environment": {"wind": wind}}]}
     with pytest.raises(ConfigError, match="'wind' is .*expected three numbers"):
         wind_of(Model(document))
+
+
+def test_the_lag_of_one_rotor_multiplies_its_own_and_shifts_rotors_next_to_that_of_all():
+    base = base_of("withGravity")
+    held = {"time constants": {"value": [0.025] * 4}, "time constants up": {"value": [0.02] * 4},
+            "time constants down": {"value": [0.03, 0.03, 0.03, 0.06]}}  # fmt: skip
+    base = Model({**base.document, "actuators": held})
+    slow = extended(base, ("motor_lag", {"rotor2": 0.5}))
+    np.testing.assert_allclose(actuators_of(slow).up, [0.02, 0.03, 0.02, 0.02])
+    np.testing.assert_allclose(actuators_of(slow).down, [0.03, 0.045, 0.03, 0.06])
+    # a later finding counts from what the earlier one left
+    slower = extended(slow, ("motor_lag", {"rotor2": 1.0, "rotor3": 0.2}))
+    np.testing.assert_allclose(actuators_of(slower).up, [0.02, 0.06, 0.024, 0.02])
+    known = belief_of(slower.document, "speeds").values
+    np.testing.assert_allclose([own_lag(known, i).prod() for i in range(4)],
+                               actuators_of(slower).up * actuators_of(slower).down)  # fmt: skip
+    # a time constant is that of all four, their mean by logarithms; next to it rotors are shifted against one another
+    both = extended(Model({**base.document, "actuators": {"time constants": {"value": [0.02] * 4}}}),
+                    ("motor_lag", {"time_constant": 0.04, "rotor2": 15.0}))  # fmt: skip
+    np.testing.assert_allclose(actuators_of(both).up, [0.02, 0.32, 0.02, 0.02])
+    later = extended(both, ("motor_lag", {"rotor1": 15.0}))
+    np.testing.assert_allclose(actuators_of(later).up, [0.32, 0.32, 0.02, 0.02])
+    with pytest.raises(ConfigError, match="'rotor1 lag factor' is 0.0, expected a positive"):
+        actuators_of(extended(base, ("motor_lag", {"rotor1": -1.0})))
