@@ -4,12 +4,12 @@ from quasi.gap.effect import Effect, Extension, Parameter, Values, Vehicle
 from quasi.model.model import Model
 from quasi.terms.rotor_map import ROTOR_NUMBERS
 
-ROTORS = tuple(f"rotor{i}" for i in ROTOR_NUMBERS)
+LAG_NAMES = tuple(f"rotor{i}" for i in ROTOR_NUMBERS)
 
 
 def _extension(values: Values, _: Vehicle, __: Model) -> Extension:
     constants = {"time constant": values["time_constant"]} if values["time_constant"] else {}
-    factors = {f"{n} lag factor": 1.0 + values[n] for n in ROTORS if values[n]}
+    factors = {f"{n} lag factor": 1.0 + values[n] for n in LAG_NAMES if values[n]}
     return Extension(actuators=constants | factors)
 
 
@@ -21,7 +21,7 @@ EFFECT = Effect(
     source="Klein & Morelli, 2006, section 6.3",
     parameters={
         "time_constant": Parameter("s", None, "a", 0.002, 0.4, 0.008),
-        **{n: Parameter("1", 1.0, "a", 0.1, 10.0) for n in ROTORS},
+        **{n: Parameter("1", 1.0, "a", 0.1, 10.0) for n in LAG_NAMES},
     },
     channels=("w1", "w2", "w3", "w4"),
     rivals=("command_delay",),

@@ -7,7 +7,7 @@ import numpy as np
 
 from quasi.gap.flights.level import Flown
 from quasi.gap.levels.drive.fit import DriveFit
-from quasi.gap.levels.drive.prediction import LAG, SHARE
+from quasi.gap.levels.drive.prediction import LAG, SPEED_SHARE
 from quasi.terms.rotor_map import COMMANDED, SHARES
 
 LIMIT_WIDTH = 0.002  # of a share, or of the largest speed: commands at one limit differ by less
@@ -90,8 +90,8 @@ def saturated(flights: Sequence[Flown], kind: str) -> list[dict[str, Any]]:
 def weak(flights: Sequence[Flown], fits: Sequence[DriveFit]) -> list[dict[str, Any]]:
     """A rotor that turns slower (or faster) at the same command than the others do, beyond the reference flights."""
     centred = np.eye(4) - 0.25  # apart from the mean of the rotors, which is the map's
-    errors = [np.sqrt(np.diag(centred @ d.covariance()[SHARE:LAG, SHARE:LAG] @ centred)) for d in fits]
-    odd = _odd_rotor(flights, np.array([d.values[SHARE:LAG] for d in fits]), np.hypot(ALIKE, errors))
+    errors = [np.sqrt(np.diag(centred @ d.covariance()[SPEED_SHARE:LAG, SPEED_SHARE:LAG] @ centred)) for d in fits]
+    odd = _odd_rotor(flights, np.array([d.values[SPEED_SHARE:LAG] for d in fits]), np.hypot(ALIKE, errors))
     if odd is None or abs(0.75 * odd[1]) < WEAK:
         return []
     i, size, std = odd

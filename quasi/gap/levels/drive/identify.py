@@ -39,21 +39,21 @@ from quasi.model.extensions import are_estimated, has_lag_of_extension
 from quasi.terms.rotor_map import ROTOR_NUMBERS, SHARES
 
 EXPONENT = CONSTANTS.index("exponent")
-LAGS = tuple(f"lag{i}" for i in ROTOR_NUMBERS)
-TIMING = ("up", "down", "delay", *LAGS)  # constants that output error errs in
+OWN_LAGS = tuple(f"lag{i}" for i in ROTOR_NUMBERS)
+TIMING = ("up", "down", "delay", *OWN_LAGS)  # constants that output error errs in
 # constants that a cause changes
-DRIVE_CAUSES = {"motor_lag": ("up", "down", *LAGS), "command_delay": ("delay",), "telemetry_delay": ("late",),
+DRIVE_CAUSES = {"motor_lag": ("up", "down", *OWN_LAGS), "command_delay": ("delay",), "telemetry_delay": ("late",),
           "battery_sag": ("exponent",)}  # fmt: skip
 # columns of `Products.gram` that a cause is tested by, where they are not those constants; and that of all rotors alike
-COLUMNS = {"motor_lag": tuple(f"own lag {i}" for i in ROTOR_NUMBERS)}
-ALIKE = {"motor_lag": "own lags alike"}
+CAUSE_COLUMNS = {"motor_lag": tuple(f"own lag {i}" for i in ROTOR_NUMBERS)}
+ALIKE_COLUMNS = {"motor_lag": "own lags alike"}
 DRIVE_UNITS = {"up": "s", "down": "s", "delay": "s", "late": "s", "exponent": "1"}
 LATE = frozenset({"command_delay", "telemetry_delay"})
 USUAL_AGE, AGE_SPREAD = 2e-3, 7e-4  # s, of rotor telemetry that nothing is wrong with
 # standard deviations of what differs between healthy flights, as shares for the time constants; and of the error of
 # what a model believes, common to all flights
 NORMAL = {"up": LAGS_ALIKE, "down": LAGS_ALIKE, "delay": 7e-4, "a0": 8.0, "a1": 40.0, "a2": 40.0, "exponent": 0.03,
-          **dict.fromkeys((f"rotor{i}" for i in ROTOR_NUMBERS), 0.01), **dict.fromkeys(LAGS, LAGS_ALIKE)}  # fmt: skip
+          **dict.fromkeys((f"rotor{i}" for i in ROTOR_NUMBERS), 0.01), **dict.fromkeys(OWN_LAGS, LAGS_ALIKE)}  # fmt: skip
 BELIEVED = {
     "up": 0.03,
     "down": 0.03,
@@ -63,7 +63,7 @@ BELIEVED = {
     "a2": 200.0,
     "exponent": 0.03,
     "late": 5e-4,
-    **dict.fromkeys(LAGS, 0.03),
+    **dict.fromkeys(OWN_LAGS, 0.03),
 }
 UNPOOLED = ("telemetry_delay",)  # the usual age is known; left free, it would hide its difference from a late command
 DRIVE_TIE_BREAKERS = {LATE: "quick yaw inputs: the motion determines the delay of the telemetry"}
@@ -151,7 +151,7 @@ def examine(flights: Sequence[Flown], document: Mapping[str, Any], options: Mapp
         "values": reference.values.tolist(), "voltage": reference.voltage,
         "learned": {"kind": kind, "values": learned.tolist(), "voltage": belief and belief.voltage},
     }  # fmt: skip
-    profiles = {n: Profile("rotors" if n in ALIKE else "all", CATALOGUE[n].rivals) for n in asked}
+    profiles = {n: Profile("rotors" if n in ALIKE_COLUMNS else "all", CATALOGUE[n].rivals) for n in asked}
     selection = select_causes(mixed, profiles, float(options.get("false alarm rate", 0.01)), EXACT)
     shares = selection.reproducibility(lambda rng: [p.gram(rng) for p in products], build)
     volts = belief and belief.voltage
@@ -287,7 +287,7 @@ def lag_columns(reference: np.ndarray) -> np.ndarray:
 
     A rotor of four moves the mean by a quarter of its own logarithm. reference (15,)
     """
-    lags = [CONSTANTS.index(n) for n in LAGS]
+    lags = [CONSTANTS.index(n) for n in OWN_LAGS]
     found = np.zeros((len(CONSTANTS), 5))
     found[:2, :4], found[:2, 4] = 0.25 * reference[:2, None], reference[:2]
     found[lags, range(4)] = 1.0
@@ -306,7 +306,7 @@ def _mixed(
     doubt: float, sessions: Sequence[str], usual: Mapping[str, float], biased: np.ndarray,
 ) -> SensorMixedModel:  # fmt: skip
     """biased (15,), by what the model's constants may be off for the way in which they were found."""
-    lags = *COLUMNS["motor_lag"], ALIKE["motor_lag"]
+    lags = *CAUSE_COLUMNS["motor_lag"], ALIKE_COLUMNS["motor_lag"]
     place = {name: 1 + i for i, name in enumerate([*CONSTANTS, "late", *lags])}
     scale = {"up": reference.values[0], "down": reference.values[1]}
     width = len(place) + 1
@@ -321,8 +321,8 @@ def _mixed(
     believed = np.array(
         [np.hypot(s * scale.get(n, 1.0) * (doubt if n in scale else 1.0), off.get(n, 0.0)) for n, s in known.items()]
     )
-    tested = {c: [place[n] for n in COLUMNS.get(c, DRIVE_CAUSES[c])] for c in asked}
-    columns = Columns(shared, nuisance, np.array(spread), tested, alike={c: place[n] for c, n in ALIKE.items()})
+    tested = {c: [place[n] for n in CAUSE_COLUMNS.get(c, DRIVE_CAUSES[c])] for c in asked}
+    columns = Columns(shared, nuisance, np.array(spread), tested, alike={c: place[n] for c, n in ALIKE_COLUMNS.items()})
     prior = np.diag(1.0 / believed**2)
     used = [g[np.ix_(source, source)] for g in grams]
     return SensorMixedModel(used, compared, columns, PRIOR_FREEDOM, prior, UNPOOLED, sessions=sessions)
@@ -341,7 +341,7 @@ def _parameters(
     informative = [d for d in fits if d.volts_vary] if offer.cause == "battery_sag" else fits
     values = np.array([d.values for d in informative])
     share = 1.0 / np.sqrt(len(informative))
-    if offer.cause == "motor_lag" and offer.which != (len(LAGS),):
+    if offer.cause == "motor_lag" and offer.which != (len(OWN_LAGS),):
         return {
             f"rotor{ROTOR_NUMBERS[k]}": {"value": float(np.exp(v)), "std": float(np.exp(v) * s), "unit": "1"}
             for k, v, s in zip(offer.which, test.value, test.std)

@@ -32,7 +32,10 @@ LEAST_LAG, MOST_LAG, EARLIEST, LATEST = 0.002, 0.4, -0.03, 0.1  # s
 TRIED_LAGS = np.geomspace(LEAST_LAG, MOST_LAG, 9)  # s, about twice as long each time
 MOST_APART = 2.0  # of the logarithm of a rotor's lag over the others'
 DELAY = 2  # place of the delay among the constants
-SHARE, LAG = 7, 11  # places of the first rotor's share of the speed, and of the logarithm of its lag over the others'
+SPEED_SHARE, LAG = (
+    7,
+    11,
+)  # places of the first rotor's share of the speed, and of the logarithm of its lag over the others'
 
 
 class Prediction:
@@ -96,7 +99,7 @@ class Prediction:
         """
         c, moves = self.commands[i], NO_SLOPES
         volt = np.ones(len(c)) if self.ratio is None else np.exp(x[6] * self.ratio)
-        wanted = volt * (_mapped(x, c) + x[SHARE + i] * self.first[i])
+        wanted = volt * (_mapped(x, c) + x[SPEED_SHARE + i] * self.first[i])
         if len(slopes):
             sagging = np.zeros(len(c)) if self.ratio is None else wanted * self.ratio
             moves = np.stack([volt, volt * c, volt * c * c, sagging, volt * self.first[i]], axis=1)
@@ -126,7 +129,7 @@ class Prediction:
             self.of_commands(i, x, own)
             white = self._new(own[self.rows, None], self.memory)[::every, 0]
             up, down = own_lag(x, i)
-            new[:, i, :7], new[:, i, SHARE + i] = white[:, :7], white[:, 7]
+            new[:, i, :7], new[:, i, SPEED_SHARE + i] = white[:, :7], white[:, 7]
             new[:, i, 0] *= up / x[0]
             new[:, i, 1] *= down / x[1]
             # a logarithm counts from the mean of the four, which is what the common time constants are
