@@ -53,7 +53,7 @@ USUAL_AGE, AGE_SPREAD = 2e-3, 7e-4  # s, of rotor telemetry that nothing is wron
 # standard deviations of what differs between healthy flights, as shares for the time constants; and of the error of
 # what a model believes, common to all flights
 NORMAL = {"up": LAGS_ALIKE, "down": LAGS_ALIKE, "delay": 7e-4, "a0": 8.0, "a1": 40.0, "a2": 40.0, "exponent": 0.03,
-          **dict.fromkeys((f"rotor{i}" for i in ROTOR_NUMBERS), 0.01), **dict.fromkeys(OWN_LAGS, LAGS_ALIKE)}  # fmt: skip
+          **{f"rotor{i}": 0.01 for i in ROTOR_NUMBERS}, **dict.fromkeys(OWN_LAGS, LAGS_ALIKE)}  # fmt: skip
 BELIEVED = {
     "up": 0.03,
     "down": 0.03,
