@@ -6,6 +6,7 @@ keeps them as regressors, and so every simulation and export carries them. Cause
 swinging load) give arrays and say themselves how they extend a model.
 """
 
+import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
@@ -177,6 +178,7 @@ class Effect:
 
     id, level ("sensors", "drive", "forces"), sentence (what happens, for a pilot), equation, source
     opposite      the sentence where the leading parameter is below neutral, if it is another one
+    partial       the sentence where the leading parameter is not among those found, with {} for them, if it is another
     parameters    {name: Parameter}
     channels      axes or signals where it shows
     rivals        ids that it is confused with; tie_breaker  the manoeuvre that distinguishes them
@@ -233,6 +235,7 @@ class Effect:
     sized_by: tuple[str, ...] = ()
     sums: Callable[[Vehicle], list[tuple[Values, float]]] | None = None
     opposite: str = ""
+    partial: str = ""
     parts: str = "any"
     always_tied_with: tuple[str, ...] = ()
     absorbed_by_model: bool = False
@@ -283,6 +286,9 @@ class Effect:
     def happens(self, parameters: Values) -> str:
         """The sentence of parameters as they are reported: {name: value}, the first of them leading."""
         name = next(iter(self.parameters), None)
+        if self.partial and name not in parameters:
+            found = [re.sub(r"(\d+)$", r" \1", n) for n in self.parameters if n in parameters]
+            return self.partial.format(" and ".join(found))
         below = name in parameters and parameters[name] < (self.parameters[name].neutral or 0.0)
         return self.opposite if below and self.opposite else self.sentence
 

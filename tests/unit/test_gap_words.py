@@ -281,3 +281,9 @@ def test_a_sensor_finding_that_changes_nothing_explains_nothing_and_says_so():
     assert found["verdict"] == "agrees"
     assert "changes neither forces nor simulations" in found["summary"]
     assert "changes neither forces nor simulations" not in document([TURN])["summary"]
+
+
+def test_the_lag_of_one_rotor_is_said_of_that_rotor():
+    lag = KNOWN["motor_lag"]
+    assert lag.happens({"rotor2": 1.4}).startswith("rotor 2 follows its commands")
+    assert lag.happens({"time_constant": 0.04, "rotor2": 1.4}).startswith("the rotors follow their commands")
