@@ -1,7 +1,7 @@
 """Filter and smoother against the truth of made flights, and against their own standard errors.
 
     python benchmarks/consistency.py [--seeds 20] [--first 1] [--seconds 60] [--profiles mixed aggressive]
-                                     [--nuisance 0] [--out results/benchmarks/consistency]
+                                     [--nuisance 0] [--record] [--out results/benchmarks/consistency]
 
 Each seed makes one flight (raw log and capture export, profiles in turn), imports and filters it with default options
 and leaves one JSON in --out. A study that was stopped goes on where it was; a draw made by other code or with other
@@ -19,6 +19,7 @@ import argparse
 from pathlib import Path
 
 import numpy as np
+from measured_table import record
 from scipy.stats import chi2
 from study import ROOT, fly, rms, run
 
@@ -117,8 +118,8 @@ def draw(settings: dict) -> dict:
     return out
 
 
-def table(results: list[dict]) -> bool:
-    """Print every draw and the whole; True where all figures are reached."""
+def table(results: list[dict], note: str | None) -> bool:
+    """Print every draw and the whole; True where all figures are reached. note  after names of recorded ones"""
     good = [r for r in results if "refused" not in r]
     for r in results:
         s = r["settings"]
@@ -154,6 +155,9 @@ def table(results: list[dict]) -> bool:
     ]
     for name, value, low, high in figures:
         print(f"{name:38}{value:8.4f}  ({low:g} to {high:g}) {'' if low <= value <= high else 'MISSED'}")
+    if note is not None:
+        found = {"attitude deg": figures[0][1], "velocity m/s": figures[1][1], "NEES inside": float(inside)}
+        record("consistency", {f"{k}{note}": v for k, v in {**found, "seeds": len(good)}.items()})
     body = np.degrees(rms(np.array([r["body attitude"] for r in good])))
     print(f"{'attitude error, body axes, deg':38}{body:8.4f}")
     print(f"{'position error, mm':38}{1e3 * both['smoother']['position']:8.4f}")
@@ -172,6 +176,7 @@ def main() -> int:
     parser.add_argument("--seconds", type=float, default=60.0)
     parser.add_argument("--profiles", nargs="+", default=["mixed", "aggressive"])
     parser.add_argument("--nuisance", type=float, default=0.0)
+    parser.add_argument("--record", action="store_true", help="store the figures for docs/measured.md")
     parser.add_argument("--out", type=Path, default=ROOT / "results/benchmarks/consistency")
     a = parser.parse_args()
     many = [
@@ -184,7 +189,8 @@ def main() -> int:
         for i in range(a.seeds)
     ]
     results = run(many, draw, a.out, Path(__file__))
-    return 0 if table(results) else 1
+    note = ", nuisance" if a.nuisance else ""
+    return 0 if table(results, note if a.record else None) else 1
 
 
 if __name__ == "__main__":

@@ -103,7 +103,8 @@ def rotorpy_cases(name: str = "rotorpy", shift: tuple[float, float, float] = (0.
         "rotors 2 and 3 exchanged": Case(("rotor_order",), value={"rotor2": 3, "rotor3": 2},
                                          sensors={"rotors": (0, 2, 1, 3)}),
         # commands against measured speeds: forces hold with the speeds that were measured
-        "motor of rotor 2 slower": Case(("motor_lag",), change=scaled(tau_m=np.array([1.0, 2.0, 1.0, 1.0]))),
+        "motor of rotor 2 slower": Case(("motor_lag",), value={"rotor2": 2.0},
+                                        change=scaled(tau_m=np.array([1.0, 2.0, 1.0, 1.0]))),
         "thrust fades": Case(("thrust_drift",), value={"rate": -0.002}, change={"fading": 0.002}),
         **unlisted_cases(),
     }  # fmt: skip
