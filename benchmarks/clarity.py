@@ -163,7 +163,8 @@ def drive_size(cause: str, values: Mapping[str, float], healthy: Mapping[str, fl
     healthy  {"up", "down": s, "exponent": 1} of the reference that flights are compared with
     """
     if cause == "motor_lag":
-        return np.array([values["time_constant"] - healthy[name] for name in ("up", "down")])
+        usual = 0.5 * (healthy["up"] + healthy["down"])
+        return np.log([values.get("time_constant", usual) / usual * values.get(f"rotor{i}", 1.0) for i in range(1, 5)])
     if cause == "battery_sag":
         return np.array([values["exponent"] - healthy["exponent"]])
     return np.array([values["delay"]])

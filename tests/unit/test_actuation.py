@@ -209,7 +209,10 @@ def test_how_clearly_a_size_shows_by_level_a():
     late = clear(level.tests, "command_delay", "always", drive_size("command_delay", {"delay": 0.008}, healthy))
     assert late.nearest == "telemetry_delay"
     assert late.separability < 0.3 * late.detectability
-    np.testing.assert_allclose(drive_size("motor_lag", {"time_constant": 0.04}, healthy), [0.04 - UP, 0.04 - DOWN])
+    lag = drive_size("motor_lag", {"time_constant": 0.04}, healthy)
+    np.testing.assert_allclose(lag, np.log(0.08 / (UP + DOWN)))
+    assert lag.shape == (4,) and clear(level.tests, "motor_lag", "always", lag).detectability > 4.0
+    np.testing.assert_allclose(drive_size("motor_lag", {"rotor2": 1.4}, healthy), [0.0, np.log(1.4), 0.0, 0.0])
 
 
 def test_rotors_that_are_switched_off_in_the_air_sit_at_no_limit():
