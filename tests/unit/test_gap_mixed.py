@@ -304,7 +304,7 @@ def test_what_reference_flights_cannot_show_is_bounded_and_does_not_become_the_c
 
 def test_parameters_that_may_be_equal_are_one_where_they_are_and_several_where_they_are_not():
     rng = np.random.default_rng(5)
-    layout = LAYOUT._replace(alike={"c": 8})
+    layout = LAYOUT._replace(alike={"c": (8,)})
     for sizes, which in (([0.2, 0.2], (2,)), ([0.3, 0.0], (0, 1)), ([0.3, -0.3], (0, 1))):
         grams, _ = flights(rng, 6, dict(zip((5, 6), sizes)))
         summed = np.column_stack([np.eye(8), np.eye(8)[:, 6:].sum(axis=1)])

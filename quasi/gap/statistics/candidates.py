@@ -1,6 +1,6 @@
 """What tests of causes are about: which columns belong to a cause, which flights it is offered to, what was found."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from types import MappingProxyType
 from typing import NamedTuple
 
@@ -30,8 +30,9 @@ class Columns(NamedTuple):
               It bounds the part that all flights have alike where changes are tested: reference flights that hardly
               excite a cause would return any value, and its error would become the change
     session   columns whose coefficients the flights of a session share, with session_spread their standard deviations
-    alike     {cause: column} of a cause whose parameters may all be equal: the sum of its columns; its place in
-              `Candidate.which` follows those of the parameters
+    alike     {cause: columns} of a cause whose parameters may all be equal: the sum of its columns, or parts of the
+              sum that have sizes of their own; its place in `Candidate.which` follows those of the parameters
+    base      {cause: columns} of what all flights have alike of a cause, where it is more than its parameters
     barred    {cause: parameters of which no change is asked}
     """
 
@@ -44,13 +45,14 @@ class Columns(NamedTuple):
     bounds: Mapping[str, np.ndarray] = MappingProxyType({})
     session: tuple[int, ...] = ()
     session_spread: tuple[float, ...] = ()
-    alike: Mapping[str, int] = MappingProxyType({})
+    alike: Mapping[str, Sequence[int]] = MappingProxyType({})
+    base: Mapping[str, Sequence[int]] = MappingProxyType({})
     barred: Mapping[str, frozenset[int]] = MappingProxyType({})
 
     def of(self, offer: Candidate) -> list[int]:
         """Columns of a candidate."""
         own = self.causes[offer.cause]
-        return [self.alike[offer.cause] if k == len(own) else own[k] for k in offer.which]
+        return [c for k in offer.which for c in (self.alike[offer.cause] if k == len(own) else (own[k],))]
 
     def parameters(self, test: "Test") -> tuple[list[int], np.ndarray, np.ndarray]:
         """Columns of the parameters of a test, their values and standard errors; equal ones each by itself."""

@@ -237,7 +237,7 @@ class MixedModel:
         precision = [0.0] * sum(len(columns) for columns, _ in blocks)
         # a pooled cause under test is offered twice: to all, and to the compared flights
         for cause in pooled:
-            columns = self.columns.causes[cause]
+            columns = self.columns.base.get(cause, self.columns.causes[cause])
             sizes = self.columns.bounds.get(cause, np.full(len(columns), np.inf))
             free = [(c, size) for c, size in zip(columns, sizes) if c not in known]
             blocks.append(([c for c, _ in free], everywhere))

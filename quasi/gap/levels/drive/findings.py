@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from quasi.gap.flights.level import Flown
-from quasi.gap.levels.drive.fit import DriveFit
+from quasi.gap.levels.drive.fit import ODD_T, DriveFit
 from quasi.gap.levels.drive.prediction import LAG, SPEED_SHARE
 from quasi.terms.rotor_map import COMMANDED, SHARES
 
@@ -14,7 +14,6 @@ LIMIT_WIDTH = 0.002  # of a share, or of the largest speed: commands at one limi
 CROWD = 5.0  # times as many commands at a limit as just inside it
 LIMIT_SHARE = 0.005  # of the time in flight that a rotor sits at a limit, below which nobody minds
 WEAK = 0.02  # of its speed
-WEAK_MOTOR_T = 4.0  # standard errors
 ALIKE = 0.005  # how much rotors' speeds at one command differ between flights
 LAGS_ALIKE = 0.05  # share by which a healthy rotor's time constant differs between flights
 
@@ -107,8 +106,7 @@ def weak(flights: Sequence[Flown], fits: Sequence[DriveFit]) -> list[dict[str, A
 
 def slow(flights: Sequence[Flown], fits: Sequence[DriveFit]) -> list[dict[str, Any]]:
     """A rotor that follows its commands later (or sooner) than the others do, beyond the reference flights."""
-    centred = np.eye(4) - 0.25  # what all four have in common is no rotor's own
-    errors = [np.sqrt(np.diag(centred @ d.covariance()[LAG:, LAG:] @ centred)) for d in fits]
+    errors = [d.lag_errors() for d in fits]
     odd = _odd_rotor(flights, np.array([d.values[LAG:] for d in fits]), np.hypot(LAGS_ALIKE, errors))
     if odd is None:
         return []
@@ -140,4 +138,4 @@ def _odd_rotor(flights: Sequence[Flown], values: np.ndarray, doubt: np.ndarray) 
     size = now.mean(axis=0) - usual
     i = int(np.argmax(np.abs(size)))
     # the mean of four holds a quarter of the odd one
-    return (i, float(size[i] / 0.75), float(std[i] / 0.75)) if abs(size[i]) >= WEAK_MOTOR_T * std[i] else None
+    return (i, float(size[i] / 0.75), float(std[i] / 0.75)) if abs(size[i]) >= ODD_T * std[i] else None

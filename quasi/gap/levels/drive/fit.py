@@ -23,6 +23,7 @@ from quasi.terms.rotor_map import COMMANDED, ROTOR_NUMBERS, SHARES, SPEEDS
 
 DRIVE_BAND = 0.4 * RATE  # Hz, as import resamples
 LEAST_DRIVE_NOISE = 0.1  # rad/s: no residual is known better
+ODD_T = 4.0  # standard errors by which one rotor differs from the others
 LEAST_SAG = 0.003  # natural log of the voltage: below this variation within a flight the exponent is not estimated
 # parameters in order: time constants, delay, map, battery exponent, each rotor's speed relative to the common map,
 # logarithm of each rotor's time constants over the geometric mean of the four, which the common ones are
@@ -76,6 +77,16 @@ class DriveFit(NamedTuple):
         flat = self.slopes.reshape(-1, len(CONSTANTS))
         # a value that is only held may be off by its looseness, noise / sqrt(held)
         return inverse @ (meat + LEAST_DRIVE_NOISE**2 * flat.T @ flat + self.noise**2 * np.diag(self.held)) @ inverse
+
+    def has_odd_lag(self) -> bool:
+        """Whether the errors ask for a lag of one rotor that differs from the others'."""
+        own = self._inverse()[LAG:] @ np.einsum("ncp,nc->p", self.slopes, self.residual)
+        return bool(np.any(np.abs(own - own.mean()) > ODD_T * self.lag_errors()))
+
+    def lag_errors(self) -> np.ndarray:
+        """Standard errors (4,) of the logarithms of the rotors' lags over their mean."""
+        centred = np.eye(4) - 0.25  # what all four have in common is no rotor's own
+        return np.sqrt(np.diag(centred @ self.covariance()[LAG:, LAG:] @ centred))
 
     def in_band(self) -> "DriveFit":
         """With residual and slopes in the band of a comparison at RATE, and not many more rows: how large errors are.
@@ -189,12 +200,18 @@ def fit_drive(flown: Flown, kind: str, start: Belief) -> DriveFit:
     loose = LOOSE if kind == "shares" else np.concatenate([LOOSE[:3], [200.0, 0.3, 1e-9], LOOSE[6:]])
     loose = np.where(np.arange(len(CONSTANTS)) == 6, loose if volts is not None else 1e-6, loose)
     noise = max(0.02 * float(np.std(log.target)), 1.0)  # rad/s, weighs the looseness against the data
-    plain, x = log.fit(start.values, loose, noise, size)
-    return DriveFit(
-        flown.key, x, log.t[log.kept()], log.errors(x), log.slopes(x),
-        volts is not None and float(np.std(log.ratio[log.rows])) > LEAST_SAG, (noise / loose) ** 2, noise, log.rate,
-        plain,
-    )  # fmt: skip
+
+    def fitted(free: np.ndarray) -> DriveFit:
+        plain, x = log.fit(start.values, loose, noise, size, free)
+        return DriveFit(
+            flown.key, x, log.t[log.kept()], log.errors(x), log.slopes(x),
+            volts is not None and float(np.std(log.ratio[log.rows])) > LEAST_SAG, (noise / loose) ** 2, noise, log.rate,
+            plain,
+        )  # fmt: skip
+
+    # logarithms of lags that the flight hardly shows are far off to one side, and would take the common lag with them
+    alike = fitted(np.arange(len(CONSTANTS)) < LAG)
+    return fitted(np.ones(len(CONSTANTS), bool)) if alike.has_odd_lag() else alike
 
 
 def _memory(rate: float) -> int:

@@ -45,7 +45,7 @@ def _deviations(cause: str, entries: Sequence[Mapping[str, Any]], healthy: np.nd
     size = np.zeros(len(CONSTANTS))
     if cause == "motor_lag":
         factors = [np.prod([values_of(e).get(f"rotor{i}", 1.0) for e in entries]) for i in ROTOR_NUMBERS]
-        size += lag_columns(healthy)[:, :4] @ np.log(factors)
+        size += lag_columns(healthy) @ np.log(factors)
         common = next((e for e in entries if "time_constant" in values_of(e)), None)
         if common is not None:  # a slower rotor is in the mean already
             size[:2] = [common["evidence"][n] - healthy[k] for k, n in enumerate(("up", "down"))]

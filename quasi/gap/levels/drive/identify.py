@@ -44,9 +44,9 @@ TIMING = ("up", "down", "delay", *OWN_LAGS)  # constants that output error errs 
 # constants that a cause changes
 DRIVE_CAUSES = {"motor_lag": ("up", "down", *OWN_LAGS), "command_delay": ("delay",), "telemetry_delay": ("late",),
           "battery_sag": ("exponent",)}  # fmt: skip
-# columns of `Products.gram` that a cause is tested by, where they are not those constants; and that of all rotors alike
+# columns of `Products.gram` that a cause is tested by, where they are not those constants; and of all rotors alike
 CAUSE_COLUMNS = {"motor_lag": tuple(f"own lag {i}" for i in ROTOR_NUMBERS)}
-ALIKE_COLUMNS = {"motor_lag": "own lags alike"}
+ALIKE_COLUMNS = {"motor_lag": ("up", "down")}
 DRIVE_UNITS = {"up": "s", "down": "s", "delay": "s", "late": "s", "exponent": "1"}
 LATE = frozenset({"command_delay", "telemetry_delay"})
 USUAL_AGE, AGE_SPREAD = 2e-3, 7e-4  # s, of rotor telemetry that nothing is wrong with
@@ -262,8 +262,8 @@ class Products(NamedTuple):
     reference: np.ndarray
 
     def gram(self, rng: np.random.Generator | None = None) -> np.ndarray:
-        """Cross-products (22, 22) of: difference from the reference, constants by CONSTANTS, late telemetry, each
-        rotor's own lag by the logarithm, and that of all alike.
+        """Cross-products (21, 21) of: difference from the reference, constants by CONSTANTS, late telemetry, each
+        rotor's own lag by the logarithm.
 
         The delay is that of command and telemetry together; the motion's estimate of the telemetry delay is a
         measurement of its own. rng  draws the flight's blocks anew.
@@ -283,13 +283,13 @@ class Products(NamedTuple):
 
 
 def lag_columns(reference: np.ndarray) -> np.ndarray:
-    """Changes (15, 5) of the constants where one rotor's time constants grow by a factor, per its logarithm; and all's.
+    """Changes (15, 4) of the constants where one rotor's time constants grow by a factor, per its logarithm.
 
     A rotor of four moves the mean by a quarter of its own logarithm. reference (15,)
     """
     lags = [CONSTANTS.index(n) for n in OWN_LAGS]
-    found = np.zeros((len(CONSTANTS), 5))
-    found[:2, :4], found[:2, 4] = 0.25 * reference[:2, None], reference[:2]
+    found = np.zeros((len(CONSTANTS), 4))
+    found[:2] = 0.25 * reference[:2, None]
     found[lags, range(4)] = 1.0
     return found
 
@@ -306,8 +306,7 @@ def _mixed(
     doubt: float, sessions: Sequence[str], usual: Mapping[str, float], biased: np.ndarray,
 ) -> SensorMixedModel:  # fmt: skip
     """biased (15,), by what the model's constants may be off for the way in which they were found."""
-    lags = *CAUSE_COLUMNS["motor_lag"], ALIKE_COLUMNS["motor_lag"]
-    place = {name: 1 + i for i, name in enumerate([*CONSTANTS, "late", *lags])}
+    place = {name: 1 + i for i, name in enumerate([*CONSTANTS, "late", *CAUSE_COLUMNS["motor_lag"]])}
     scale = {"up": reference.values[0], "down": reference.values[1]}
     width = len(place) + 1
     own = [name for names in (DRIVE_CAUSES[c] for c in asked) for name in names]
@@ -322,7 +321,9 @@ def _mixed(
         [np.hypot(s * scale.get(n, 1.0) * (doubt if n in scale else 1.0), off.get(n, 0.0)) for n, s in known.items()]
     )
     tested = {c: [place[n] for n in CAUSE_COLUMNS.get(c, DRIVE_CAUSES[c])] for c in asked}
-    columns = Columns(shared, nuisance, np.array(spread), tested, alike={c: place[n] for c, n in ALIKE_COLUMNS.items()})
+    alike = {c: [place[n] for n in some] for c, some in ALIKE_COLUMNS.items()}
+    base = {c: [place[n] for n in DRIVE_CAUSES[c]] for c in CAUSE_COLUMNS}
+    columns = Columns(shared, nuisance, np.array(spread), tested, alike=alike, base=base)
     prior = np.diag(1.0 / believed**2)
     used = [g[np.ix_(source, source)] for g in grams]
     return SensorMixedModel(used, compared, columns, PRIOR_FREEDOM, prior, UNPOOLED, sessions=sessions)

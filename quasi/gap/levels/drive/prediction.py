@@ -137,11 +137,12 @@ class Prediction:
         return new
 
     def fit(
-        self, start: np.ndarray, loose: np.ndarray, noise: float, size: np.ndarray
+        self, start: np.ndarray, loose: np.ndarray, noise: float, size: np.ndarray, free: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
         """Constants by output error, and those that predict best.
 
-        start, loose (15,)  where they are held and how loosely; noise  rad/s, weighs that; size (15,)  of a step
+        start, loose (15,)  where they are held and how loosely; noise  rad/s, weighs that; size (15,)  of a step; free
+        (15,)  False for those that stay at start
         """
         low = np.concatenate([[LEAST_LAG, LEAST_LAG, EARLIEST], np.full(LAG - 3, -np.inf), np.full(4, -MOST_APART)])
         high = np.concatenate([[MOST_LAG, MOST_LAG, LATEST], np.full(LAG - 3, np.inf), np.full(4, MOST_APART)])
@@ -189,8 +190,8 @@ class Prediction:
 
         x = start.copy()
         x[:3] = np.clip(x[:3], low[:3] + 1e-3, high[:3])
-        x = plain = descend(x, np.ones(len(x), bool), max(round(self.rate / RATE), 1))[0]
-        rest = np.arange(len(x)) != DELAY
+        x = plain = descend(x, free, max(round(self.rate / RATE), 1))[0]
+        rest = free & (np.arange(len(x)) != DELAY)
         for _ in range(DELAY_SEARCHES):
             self.learn(x)
             x, slopes = descend(self._nearest(x), rest)

@@ -259,7 +259,7 @@ def _mixed(
     columns = Columns([], list(range(len(names), len(place))), np.array(spread), causes)
     turn = np.eye(len(place))
     alike = [n for n, own in causes.items() if SENSOR_CAUSES[n].parts == "alike" and len(own) > 1]
-    columns = columns._replace(alike={n: len(place) + k for k, n in enumerate(alike)})
+    columns = columns._replace(alike={n: (len(place) + k,) for k, n in enumerate(alike)})
     turn = np.column_stack([turn, *(turn[:, causes[n]].sum(axis=1) for n in alike)])
     used = [turn.T @ g[np.ix_(place, place)] @ turn for g in grams]
     return SensorMixedModel(
