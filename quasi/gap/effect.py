@@ -6,7 +6,6 @@ keeps them as regressors, and so every simulation and export carries them. Cause
 swinging load) give arrays and say themselves how they extend a model.
 """
 
-import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
@@ -287,8 +286,7 @@ class Effect:
         """The sentence of parameters as they are reported: {name: value}, the first of them leading."""
         name = next(iter(self.parameters), None)
         if self.partial and name not in parameters:
-            found = [re.sub(r"(\d+)$", r" \1", n) for n in self.parameters if n in parameters]
-            return self.partial.format(" and ".join(found))
+            return self.partial.format(" and ".join(n.replace("rotor", "rotor ") for n in parameters))
         below = name in parameters and parameters[name] < (self.parameters[name].neutral or 0.0)
         return self.opposite if below and self.opposite else self.sentence
 
