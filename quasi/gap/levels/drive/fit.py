@@ -183,8 +183,12 @@ def belief_of(document: Mapping[str, Any], kind: str) -> Belief | None:
     return Belief(values, voltage, aged if isinstance(aged, bool) else None)
 
 
-def fit_drive(flown: Flown, kind: str, start: Belief) -> DriveFit:
-    """The flight's own constants, near `start`. Raises DataError when it flies too little or lacks a column."""
+def fit_drive(flown: Flown, kind: str, start: Belief, has_own_lags: bool = False) -> DriveFit:
+    """The flight's own constants, near `start`. Raises DataError when it flies too little or lacks a column.
+
+    has_own_lags  whether rotors may follow with lags of their own. Logarithms of lags that a flight hardly shows are
+    far off to one side, and would take the common lag with them.
+    """
     frame = flown.filtered
     if commanded(flown) != kind or not kind:
         raise DataError(f"flight {flown.key} has no rotor commands of the kind that the others log")
@@ -200,18 +204,12 @@ def fit_drive(flown: Flown, kind: str, start: Belief) -> DriveFit:
     loose = LOOSE if kind == "shares" else np.concatenate([LOOSE[:3], [200.0, 0.3, 1e-9], LOOSE[6:]])
     loose = np.where(np.arange(len(CONSTANTS)) == 6, loose if volts is not None else 1e-6, loose)
     noise = max(0.02 * float(np.std(log.target)), 1.0)  # rad/s, weighs the looseness against the data
-
-    def fitted(free: np.ndarray) -> DriveFit:
-        plain, x = log.fit(start.values, loose, noise, size, free)
-        return DriveFit(
-            flown.key, x, log.t[log.kept()], log.errors(x), log.slopes(x),
-            volts is not None and float(np.std(log.ratio[log.rows])) > LEAST_SAG, (noise / loose) ** 2, noise, log.rate,
-            plain,
-        )  # fmt: skip
-
-    # logarithms of lags that the flight hardly shows are far off to one side, and would take the common lag with them
-    alike = fitted(np.arange(len(CONSTANTS)) < LAG)
-    return fitted(np.ones(len(CONSTANTS), bool)) if alike.has_odd_lag() else alike
+    plain, x = log.fit(start.values, loose, noise, size, has_own_lags | (np.arange(len(CONSTANTS)) < LAG))
+    return DriveFit(
+        flown.key, x, log.t[log.kept()], log.errors(x), log.slopes(x),
+        volts is not None and float(np.std(log.ratio[log.rows])) > LEAST_SAG, (noise / loose) ** 2, noise, log.rate,
+        plain,
+    )  # fmt: skip
 
 
 def _memory(rate: float) -> int:

@@ -20,9 +20,10 @@ def gains(
     Raises DataError when no flight has commands and rotor speeds enough.
     """
     reference = Belief(np.array(healthy["values"], float), healthy["voltage"])
+    of_rotors = any(f"rotor{i}" in values_of(e) for e in entries for i in ROTOR_NUMBERS)
 
     def errors(flown: Flown) -> LinearErrors:
-        whole_band = fit_drive(flown, commanded(flown), reference)
+        whole_band = fit_drive(flown, commanded(flown), reference, of_rotors)
         fit = whole_band.in_band()
         slopes = fit.slopes @ _without_nuisances(whole_band, reference, causes_of(entries))
         return LinearErrors(fit.residual + slopes @ (whole(flown, fit) - reference.values), fit.residual, slopes)

@@ -216,6 +216,8 @@ def _fits(flights: Sequence[Flown], kind: str, start: Belief, level: Level) -> t
             used.append(flown)
         except DataError as error:
             level.notes.append(f"{error}; it is left out of the comparison of commands with speeds")
+    if any(fit.has_odd_lag() for fit in fits):
+        fits = [fit_drive(flown, kind, start, has_own_lags=True) for flown in used]
     return used, fits
 
 
