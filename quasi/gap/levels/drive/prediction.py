@@ -32,10 +32,8 @@ LEAST_LAG, MOST_LAG, EARLIEST, LATEST = 0.002, 0.4, -0.03, 0.1  # s
 TRIED_LAGS = np.geomspace(LEAST_LAG, MOST_LAG, 9)  # s, about twice as long each time
 MOST_APART = 2.0  # of the logarithm of a rotor's lag over the others'
 DELAY = 2  # place of the delay among the constants
-SPEED_SHARE, LAG = (
-    7,
-    11,
-)  # places of the first rotor's share of the speed, and of the logarithm of its lag over the others'
+SPEED_SHARE = 7  # place of the first rotor's share of the speed
+LAG = 11  # place of the logarithm of the first rotor's lag over the others'
 
 
 class Prediction:
