@@ -6,6 +6,7 @@ accelerometer bias all push alike. A vertical one is another mass, another thrus
 """
 
 from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -82,7 +83,10 @@ def constant_force_ties(
     suspected  causes that are nearly significant: of those that would explain the force, they stand in the tie
     Means are taken in earth axes (room) and are compared with what flights differ by and with the spread of the
     reference flights. Forces of the causes are not separable here, so each parameter is what the force would take.
+    What two reference flights and more have of a constant force needs no model that explains the axis.
     """
+    if len(reference) > 1:
+        compared, reference = ([replace(e, excluded=()) for e in flights] for flights in (compared, reference))
     ties = []
     for load in LOADS:
         asked = [c for c in (*load.causes, *(n for n in load.also if n in suspected)) if c in effects]

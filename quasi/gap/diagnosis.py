@@ -202,7 +202,7 @@ def diagnose(
         taken = [*(e["id"] for e in [*lower_effects, *named]), *(i for tie in ties for i in tie["ids"])]
         taken += ["rotor_effectiveness"] if why_rotor_is_enough(trim) else []
         ties += constant_force_ties(
-            groups["compared"], groups["reference"], left_of, taken, asked_of,
+            groups["compared"], groups["reference"], left_of, taken, effects,
             min(found.level.values()), share, _constants(lists["unexplained"]), _suspected(lists["candidates"]),
         )  # fmt: skip
         lists["unexplained"] = [u for u in lists["unexplained"] if not in_ties(u, ties)]

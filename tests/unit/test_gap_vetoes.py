@@ -171,6 +171,19 @@ def test_a_constant_force_far_beyond_trim_is_a_tie_and_trim_is_not(flights, shar
     assert tie["constant force"]["east"]["value"] == pytest.approx(0.0, abs=1e-6)
 
 
+@pytest.mark.parametrize(("references", "ties"), [(2, 1), (1, 0), (0, 0)])
+def test_a_force_that_references_lack_needs_no_model_that_explains_its_axis(flights, references, ties):
+    """Without references, what a model that explains nothing of an axis leaves there is its own."""
+    evidence = [replace(replace_attitude(e), excluded=(0, 1)) for e in flights[1]]
+    compared, reference = evidence[:2], evidence[2 : 2 + references]
+    pushed = {e.key for e in compared}
+
+    def left(e):
+        return e.only("Fx", 0.14 * e.mass * 9.81 if e.key in pushed else 0.0)
+
+    assert len(constant_force_ties(compared, reference, left, [], catalogue(), 1e-3, 0.05)) == ties
+
+
 def test_a_constant_error_that_held_out_flights_show_is_a_tie_however_small(flights):
     """Some percent of the weight are less than the material share of it, and most of the error of a gentle flight."""
     evidence = [replace_attitude(e) for e in flights[1]]
