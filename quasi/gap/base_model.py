@@ -5,10 +5,13 @@ from typing import NamedTuple
 
 import numpy as np
 
+from quasi.filtering.forces import half_length
 from quasi.gap.flights.evidence import Evidence
+from quasi.gap.statistics.whitening import stretches
 from quasi.model.model import AXES, Model
 
-NEAR_NOTHING = 0.1  # share of the variance that a model must explain for an axis to count
+NEAR_NOTHING = 0.1  # share of the variance: a model must explain it for an axis to count, unless errors remember less
+MEMORY_S = 1.0  # s: what errors of a model that come from flight, and not from instruments, repeat within
 
 
 class Worth(NamedTuple):
@@ -41,11 +44,38 @@ def explained_share(flights: Sequence[Evidence]) -> np.ndarray:
     return 1.0 - left / np.maximum(whole, 1e-300)
 
 
+def remembered_share(flights: Sequence[Evidence]) -> np.ndarray:
+    """Share (6,) of the variance of what a model leaves that comes back within MEMORY_S; noise of instruments does not.
+
+    The largest autocorrelation beyond what the low-pass of forces and moments mixes; 1 where that is unknown.
+    """
+    every = []
+    for flight in flights:
+        cutoff, rate = (
+            (flight.metadata.get("filters") or {}).get("low-pass cutoff Hz"),
+            1.0 / np.median(np.diff(flight.t)),
+        )
+        every.append(2 * half_length(cutoff, rate) + 1 if cutoff else round(MEMORY_S * rate))
+    if not every:
+        return np.ones(6)
+    lags = np.arange(max(every), round(MEMORY_S * rate))
+    products, variance = np.zeros((len(lags), 6)), np.zeros(6)
+    for flight in flights:
+        left = flight.residual - flight.residual.mean(axis=0)
+        variance += np.sum(left**2, axis=0)
+        for part in stretches(flight.breaks):
+            x = left[part]
+            for k, lag in enumerate(lags):
+                products[k] += np.sum(x[lag:] * x[: max(len(x) - lag, 0)], axis=0)
+    return np.max(np.abs(products), axis=0) / np.maximum(variance, 1e-300) if len(lags) else np.ones(6)
+
+
 def worth_of(model: Model, reference: Sequence[Evidence]) -> Worth:
     """How much the model explains of the rows that it was identified from and, where given, of reference flights.
 
     Compared flights do not judge it: there an effect such as wind may hide all that the model explains. A published
-    model states no rows: what it explains of them is unknown (NaN), and it counts.
+    model states no rows: what it explains of them is unknown (NaN), and it counts. So does an axis of which noise is
+    all that is left: the estimates know that noise.
     """
     identified = {a: part for a, part in model.document["axes"].items() if part.get("n") != 0}
     known = {a: float(identified.get(a, {}).get("R2", np.nan)) for a in AXES}
@@ -53,6 +83,8 @@ def worth_of(model: Model, reference: Sequence[Evidence]) -> Worth:
     if reference:
         shown = explained_share(reference)
         shares = {a: float(np.nanmin([known[a], shown[k]])) for k, a in enumerate(AXES)}
-    excluded = tuple(a for a in AXES if shares[a] < NEAR_NOTHING)
+    poor = [k for k, a in enumerate(AXES) if shares[a] < NEAR_NOTHING]
+    remembered = remembered_share(reference) if poor else np.ones(6)
+    excluded = tuple(AXES[k] for k in poor if remembered[k] >= NEAR_NOTHING)
     wrong = "; ".join(model.document.get("contradictions") or [])
     return Worth(shares, excluded, wrong)

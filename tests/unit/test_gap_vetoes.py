@@ -8,6 +8,7 @@ import pytest
 from test_gap_extension import base_of
 from test_gap_extension import flight as made
 
+from quasi.filtering.forces import low_pass
 from quasi.gap import verdict
 from quasi.gap.base_model import Worth, worth_of
 from quasi.gap.catalogue import catalogue
@@ -130,6 +131,20 @@ def test_an_axis_that_the_base_model_does_not_explain_is_excluded(flights):
     worth = worth_of(model, spoiled)
     assert worth.excluded == ("Mx",)
     assert "Mx" in worth.sentence()
+
+
+@pytest.mark.parametrize(("cutoff", "swing", "counts"), [(40.0, 0.0, True), (40.0, 5.0, False), (None, 0.0, False)])
+def test_an_axis_of_which_noise_is_all_that_is_left_counts(flights, cutoff, swing, counts):
+    """Noise ten times what the model explains has no memory beyond the low-pass; a swing of half of it has."""
+    model, evidence = flights
+    noisy, rng = [], np.random.default_rng(0)
+    for e in evidence:
+        noise = low_pass(rng.standard_normal(len(e)), 40.0, 1.0 / np.median(np.diff(e.t)))
+        error = 10.0 * noise / np.std(noise) + swing * np.sin(2.0 * np.pi * 1.5 * e.t)
+        measured = e.measured.copy()
+        measured[:, 0] = e.predicted[:, 0] + np.std(e.predicted[:, 0]) * error
+        noisy.append(replace(e, measured=measured, metadata={"filters": {"low-pass cutoff Hz": cutoff}}))
+    assert worth_of(model, noisy).excluded == (() if counts else ("Fx",))
 
 
 @pytest.mark.parametrize(("share", "usual"), [(0.005, True), (0.2, False)])
