@@ -119,9 +119,8 @@ def drive_of(document: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def has_lag_of_extension(document: Mapping[str, Any]) -> bool:
-    """Whether an extension of a model's document states time constants of its rotors."""
-    found = _collect_rotor_constants(document, str(document.get("id", "")))
-    return any(n in found for n in ("time constant", *LAG_FACTORS))
+    """Whether an extension of a model's document states the rotors' lag; factors of single rotors keep the model's."""
+    return "time constant" in _collect_rotor_constants(document, str(document.get("id", "")))
 
 
 def actuators_of(model: Model) -> Actuators:

@@ -1,5 +1,6 @@
 """Rotors that something disturbs, in a vehicle whose controller answers: the answers are no part of lag and delay."""
 
+import dataclasses
 import functools
 
 import numpy as np
@@ -109,6 +110,21 @@ def test_a_model_is_not_blamed_for_how_its_lag_was_found(size, own, lag):
     flights = [flown(s) for s in (1, 2, 3, 4)]
     document = model_of([flown(s, size=size) for s in (21, 22, 23)], flights if own else (), lag)
     level = examine(flights, document, {})
+    assert not level.effects and not level.ties
+
+
+def test_a_model_that_states_one_rotors_factor_is_not_blamed_for_how_the_lag_of_all_was_found():
+    """The factor is on the model's own lag, which is still that of output error."""
+    flights = []
+    for plain, slow in ((flown(s), flown(s, lag=2.0 * LAG)) for s in (1, 2, 3, 4)):
+        own = {name: slow.imported[name] for name in ("w2", "command2")}
+        flights.append(dataclasses.replace(plain, imported=plain.imported.assign(**own)))
+    document = model_of([flown(s) for s in (21, 22, 23)])
+    (effect,) = examine(flights, document, {}).effects
+    factor = effect["parameters"]["rotor2"]["value"]
+    assert factor == pytest.approx(2.0, rel=0.2)
+    extension = {"id": "motor_lag", "actuators": {"rotor2 lag factor": factor}}
+    level = examine(flights, document | {"extensions": [extension]}, {})
     assert not level.effects and not level.ties
 
 
