@@ -316,3 +316,10 @@ def test_the_lag_of_one_rotor_multiplies_its_own_and_shifts_rotors_next_to_that_
     np.testing.assert_allclose(actuators_of(later).up, [0.32, 0.32, 0.02, 0.02])
     with pytest.raises(ConfigError, match="'rotor1 lag factor' is 0.0, expected a positive"):
         actuators_of(extended(base, ("motor_lag", {"rotor1": -1.0})))
+
+
+@pytest.mark.parametrize(("always", "changed"), [(2.0, 2.5), (0.35, 0.37)])
+def test_factors_on_one_rotors_lag_that_was_always_there_and_that_changed_multiply(always, changed):
+    base = base_of("withGravity")
+    slow = extended(base, *(("motor_lag", {"rotor2": factor - 1.0}) for factor in (always, changed)))
+    np.testing.assert_allclose(actuators_of(slow).up / actuators_of(base).up, [1.0, always * changed, 1.0, 1.0])
