@@ -13,6 +13,7 @@ from quasi.gap.catalogue import catalogue
 from quasi.gap.flights.level import Flown
 from quasi.gap.levels.drive.findings import saturated
 from quasi.gap.levels.drive.fit import LOOSE, Belief, belief_of, fit_drive
+from quasi.gap.levels.drive.held_out import gains
 from quasi.gap.levels.drive.identify import NORMAL, examine
 from quasi.tables import TELEMETRY_AGE_REMOVED
 
@@ -303,3 +304,29 @@ def test_a_model_that_tells_speeds_holds_gain_one():
     assert isinstance(belief, Belief)
     np.testing.assert_allclose(belief.values[:7], [UP, DOWN, 0, 0, 1, 0, 0])
     assert belief_of({}, "shares") is None
+
+
+def with_commanded_speeds(plain):
+    """The flight of a speed controller: the log holds the speeds that the map makes of its shares, and no shares."""
+    shares = [plain.imported[f"command{i}"] for i in range(1, 5)]
+    factor = plain.imported["battery_voltage"] / VOLTS
+    speeds = {f"w{i}_CMD": factor * np.polyval(MAP[::-1], c) for i, c in enumerate(shares, 1)}
+    table = plain.imported.drop(columns=[c.name for c in shares]).assign(**speeds)
+    return dataclasses.replace(plain, imported=table, filtered=table)
+
+
+def test_commanded_speeds_show_a_lag_as_shares_do():
+    slow = {"up": 0.04, "down": 0.045}
+    references = [with_commanded_speeds(flown(s, compared=False)) for s in (11, 12)]
+    level = examine([*references, *(with_commanded_speeds(flown(s, **slow)) for s in (1, 2, 3))], MODEL, {})
+    found, since, parameters = only(level)
+    assert (found, since) == ("motor_lag", "changed")
+    value, std = parameters["time_constant"]
+    assert abs(value - 0.0425) < 3 * std
+    # a held-out flight of the other kind of commands shows nothing
+    held = [flown(4, **slow), with_commanded_speeds(flown(5, **slow))]
+    both, own = (gains(level.effects, flights, level.healthy)["motor_lag"].removed for flights in (held, held[1:]))
+    assert own.min() > 0.7
+    np.testing.assert_array_equal(both, own)
+    healthy = [*references, *(with_commanded_speeds(flown(s)) for s in (1, 2, 3))]
+    assert not examine(healthy, MODEL, {}).effects
