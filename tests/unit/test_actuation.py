@@ -272,6 +272,12 @@ def test_a_rotor_that_always_follows_later_is_no_change_and_four_slow_ones_are_n
     assert not examine([flown(s, slower=(1.5,) * 4) for s in (1, 2, 3)], MODEL, {}).findings
 
 
+def test_two_slow_rotors_are_findings_and_the_healthy_ones_are_not_called_fast():
+    flights = [flown(s, slower=(1.0, 1.6, 1.6, 1.0), gains=(0.94, 1.0, 1.0, 0.94)) for s in (1, 2, 3)]
+    found = [(f["id"], f["evidence"]["rotor"]) for f in examine(flights, MODEL, {}).findings]
+    assert found == [("weak_motor", 1), ("weak_motor", 4), ("motor_lag", 2), ("motor_lag", 3)]
+
+
 def test_what_is_not_logged_cannot_be_asked():
     bare = flown(1)
     without = bare.filtered.drop(columns=[f"command{i}" for i in range(1, 5)])
