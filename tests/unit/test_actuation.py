@@ -247,6 +247,17 @@ def test_commands_at_a_limit_and_a_slow_motor_are_findings():
     assert weak["evidence"]["speed"] == pytest.approx(0.94, abs=0.01)
 
 
+@pytest.mark.parametrize("gain", [0.75, 1.3])
+def test_a_slow_motor_is_slow_by_its_share_however_far_off_the_models_map_is(gain):
+    gains = gain * np.array([1.0, 0.94, 1.0, 1.0])
+    level = examine([flown(s, gains=tuple(gains)) for s in (1, 2)], MODEL, {})
+    assert level.findings[0]["evidence"]["speed"] == pytest.approx(0.94, abs=0.003)
+    # and of commands the speeds are what they were
+    learned = level.healthy["learned"]["values"]
+    speeds, own = (np.polyval(np.array(m)[::-1], 0.4) for m in (MAP, learned[3:6]))
+    np.testing.assert_allclose(own * (1.0 + np.array(learned[7:11])), gains * speeds, rtol=2e-3)
+
+
 @pytest.mark.parametrize("rotor", [1, 4])
 @pytest.mark.parametrize("factor", [0.6, 1.4, 2.0])
 @pytest.mark.parametrize("references", [(), (11, 12)])
