@@ -128,6 +128,14 @@ def test_a_battery_exponent_is_that_of_flights_whose_voltage_varies():
     assert learned[6] == pytest.approx(0.5, abs=0.01)
 
 
+def test_flights_without_a_battery_voltage_do_not_speak_against_its_exponent():
+    flights = [flown(s, exponent=0.5) for s in (1, 2, 3)]
+    without = [flown(s, exponent=0.5, voltage=False) for s in (4, 5)]
+    found, _, parameters = only(examine([*flights, *without], MODEL, {}))
+    assert found == "battery_sag"
+    assert parameters["exponent"][0] == pytest.approx(0.5, abs=0.01)
+
+
 def test_what_a_flight_does_not_tell_is_as_doubtful_as_its_fit_left_it_free():
     """At the reference voltage itself (V/V_ref)^e is 1 for every e: the doubt is the looseness, whatever the noise."""
     start = belief_of(MODEL, "shares")

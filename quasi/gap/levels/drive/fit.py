@@ -204,7 +204,6 @@ def fit_drive(flown: Flown, kind: str, start: Belief, has_own_lags: bool = False
     log = Prediction(flown, command, speed, volts, start.voltage, start.values)
     size = SIZES * [MAP_UNITS[kind].get(n, 1.0) for n in CONSTANTS]
     loose = LOOSE if kind == "shares" else np.concatenate([LOOSE[:3], [200.0, 0.3, 1e-9], LOOSE[6:]])
-    loose = np.where(np.arange(len(CONSTANTS)) == 6, loose if volts is not None else 1e-6, loose)
     noise = max(0.02 * float(np.std(log.target)), 1.0)  # rad/s, weighs the looseness against the data
     plain, x = log.fit(start.values, loose, noise, size, has_own_lags | (np.arange(len(CONSTANTS)) < LAG))
     return DriveFit(
