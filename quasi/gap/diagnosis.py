@@ -316,14 +316,19 @@ def _unable(groups: Mapping[str, Sequence[Evidence]], roles: Mapping[str, str], 
     return ""
 
 
+def count_found(drive: Sequence[tuple[Effect, Mapping[str, float]]]) -> int:
+    """How many parameters of causes of the drive were found: a voltage that a map holds at accompanies one."""
+    parameters = [e.parameters[name] for e, values in drive for name in values]
+    return sum(p.typical is not None or p.neutral is not None for p in parameters)
+
+
 def _yardsticks(
     case: Case, found: Found | None, kept: Sequence[Cause], levels: Mapping[str, Any],
     floor: Callable[[Evidence], np.ndarray] | None,
 ) -> error_reduction.Yardsticks:  # fmt: skip
     """What the gain is compared with: the floor, the best wrong causes, polynomials of the same size."""
     students = [e for e, flag in zip(case.learning, case.compared) if flag]
-    about = [n for e, values in case.drive for n in values if e.parameters[n].typical is not None]
-    sizes = [sum(len(c.value) for c in kept), len(about)]
+    sizes = [sum(len(c.value) for c in kept), count_found(case.drive)]
     wrong: dict[str, Model] = {}
     axes = list(range(len(AXES)))
     if kept:

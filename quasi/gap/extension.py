@@ -109,13 +109,15 @@ def extend(
 
 
 def joined(causes: Sequence[tuple[Effect, Values]]) -> list[tuple[Effect, Values]]:
-    """Each cause once: deviations add up; constants of the drive that are stated as they are stand for both."""
+    """Each cause once: deviations add up; constants of the drive that are stated as they are stand for both, and its
+    factors multiply."""
     found: dict[str, tuple[Effect, dict[str, float]]] = {}
     for effect, values in causes:
         _, together = found.setdefault(effect.id, (effect, {}))
         for name, value in values.items():
-            absolute = effect.level == "drive" and effect.parameters[name].neutral is None
-            together[name] = float(value) if absolute else together.get(name, 0.0) + float(value)
+            neutral = effect.parameters[name].neutral if effect.level == "drive" else 0.0
+            before = 0.0 if neutral is None else together.get(name, 0.0)
+            together[name] = before + float(value) * (1.0 + before if neutral else 1.0)
     return list(found.values())
 
 

@@ -83,9 +83,10 @@ def drive_of(document: Mapping[str, Any]) -> dict[str, Any]:
     """Read the section "actuators" of a model's document, with the rotor constants of its extensions instead of its
     own.
 
-    A time constant of an extension is the mean of speeding up and slowing down; the model's own ratio of the two, and
-    that of its rotors, is kept, and so is the reference voltage of its command map where it has one. Factors of single
-    rotors multiply what there is; next to a time constant, that of all rotors, they shift rotors against one another.
+    A time constant of an extension is the mean of speeding up and slowing down, of the four rotors by their
+    logarithms; the model's own ratio of the two, and that of its rotors, is kept. So is the reference voltage of its
+    command map where it has one. Factors of single rotors multiply what there is; next to a time constant, that of all
+    rotors, they shift rotors against one another.
     Raises DataError for a damaged section, ConfigError for a damaged extension.
     """
     name = str(document.get("id", ""))
@@ -97,13 +98,13 @@ def drive_of(document: Mapping[str, Any]) -> dict[str, Any]:
         lag = found["time constant"]
         own = {k: _read_seconds(known.pop(k), name, k) for k in _LAGS if k in known}
         both = all(k in own for k in _LAGS[1:])
-        middle = np.mean([np.mean(own[k]) for k in _LAGS[1:]] if both else own.get(_LAGS[0], lag))
+        middle = np.mean([_mean_lag(own[k]) for k in _LAGS[1:]] if both else _mean_lag(own.get(_LAGS[0], lag)))
         scaled = {k: (v * lag / middle).tolist() for k, v in own.items() if both or k == _LAGS[0]}
         known |= {k: {"value": v} for k, v in ({_LAGS[0]: lag} | scaled).items()}
     if any(n in found for n in LAG_FACTORS):
         factors = np.array([found.get(n, 1.0) for n in LAG_FACTORS])
         if "time constant" in found:  # which is that of all four together
-            factors /= np.exp(np.mean(np.log(factors)))
+            factors /= _mean_lag(factors)
         own = {k: _read_seconds(known[k], name, k) for k in _LAGS if k in known}
         known |= {k: {"value": (v * factors).tolist()} for k, v in (own or {_LAGS[0]: DEFAULT_LAG}).items()}
     if "delay" in found:
@@ -118,10 +119,14 @@ def drive_of(document: Mapping[str, Any]) -> dict[str, Any]:
     return known
 
 
+def _mean_lag(values: Any) -> float:
+    """The mean of lags by their logarithms, from which rotors with lags of their own are counted."""
+    return float(np.exp(np.mean(np.log(values))))
+
+
 def has_lag_of_extension(document: Mapping[str, Any]) -> bool:
-    """Whether an extension of a model's document states time constants of its rotors."""
-    found = _collect_rotor_constants(document, str(document.get("id", "")))
-    return any(n in found for n in ("time constant", *LAG_FACTORS))
+    """Whether an extension of a model's document states the rotors' lag; factors of single rotors keep the model's."""
+    return "time constant" in _collect_rotor_constants(document, str(document.get("id", "")))
 
 
 def actuators_of(model: Model) -> Actuators:

@@ -13,6 +13,7 @@ from quasi.gap.catalogue import catalogue
 from quasi.gap.flights.level import Flown
 from quasi.gap.levels.drive.findings import saturated
 from quasi.gap.levels.drive.fit import LOOSE, Belief, belief_of, fit_drive
+from quasi.gap.levels.drive.held_out import gains
 from quasi.gap.levels.drive.identify import NORMAL, examine
 from quasi.tables import TELEMETRY_AGE_REMOVED
 
@@ -125,6 +126,14 @@ def test_a_battery_exponent_is_that_of_flights_whose_voltage_varies():
     assert parameters["exponent"] == pytest.approx(alone["exponent"], rel=1e-3)
     learned = examine([*flights, steady(4)], MODEL, {}).healthy["learned"]["values"]
     assert learned[6] == pytest.approx(0.5, abs=0.01)
+
+
+def test_flights_without_a_battery_voltage_do_not_speak_against_its_exponent():
+    flights = [flown(s, exponent=0.5) for s in (1, 2, 3)]
+    without = [flown(s, exponent=0.5, voltage=False) for s in (4, 5)]
+    found, _, parameters = only(examine([*flights, *without], MODEL, {}))
+    assert found == "battery_sag"
+    assert parameters["exponent"][0] == pytest.approx(0.5, abs=0.01)
 
 
 def test_what_a_flight_does_not_tell_is_as_doubtful_as_its_fit_left_it_free():
@@ -246,6 +255,17 @@ def test_commands_at_a_limit_and_a_slow_motor_are_findings():
     assert weak["evidence"]["speed"] == pytest.approx(0.94, abs=0.01)
 
 
+@pytest.mark.parametrize("gain", [0.75, 1.3])
+def test_a_slow_motor_is_slow_by_its_share_however_far_off_the_models_map_is(gain):
+    gains = gain * np.array([1.0, 0.94, 1.0, 1.0])
+    level = examine([flown(s, gains=tuple(gains)) for s in (1, 2)], MODEL, {})
+    assert level.findings[0]["evidence"]["speed"] == pytest.approx(0.94, abs=0.003)
+    # and of commands the speeds are what they were
+    learned = level.healthy["learned"]["values"]
+    speeds, own = (np.polyval(np.array(m)[::-1], 0.4) for m in (MAP, learned[3:6]))
+    np.testing.assert_allclose(own * (1.0 + np.array(learned[7:11])), gains * speeds, rtol=2e-3)
+
+
 @pytest.mark.parametrize("rotor", [1, 4])
 @pytest.mark.parametrize("factor", [0.6, 1.4, 2.0])
 @pytest.mark.parametrize("references", [(), (11, 12)])
@@ -269,6 +289,12 @@ def test_a_rotor_that_always_follows_later_is_no_change_and_four_slow_ones_are_n
     flights = [flown(s, compared=False, slower=late) for s in (11, 12)] + [flown(s, slower=late) for s in (1, 2, 3)]
     assert not examine(flights, MODEL, {}).findings
     assert not examine([flown(s, slower=(1.5,) * 4) for s in (1, 2, 3)], MODEL, {}).findings
+
+
+def test_two_slow_rotors_are_findings_and_the_healthy_ones_are_not_called_fast():
+    flights = [flown(s, slower=(1.0, 1.6, 1.6, 1.0), gains=(0.94, 1.0, 1.0, 0.94)) for s in (1, 2, 3)]
+    found = [(f["id"], f["evidence"]["rotor"]) for f in examine(flights, MODEL, {}).findings]
+    assert found == [("weak_motor", 1), ("weak_motor", 4), ("motor_lag", 2), ("motor_lag", 3)]
 
 
 def test_what_is_not_logged_cannot_be_asked():
@@ -303,3 +329,29 @@ def test_a_model_that_tells_speeds_holds_gain_one():
     assert isinstance(belief, Belief)
     np.testing.assert_allclose(belief.values[:7], [UP, DOWN, 0, 0, 1, 0, 0])
     assert belief_of({}, "shares") is None
+
+
+def with_commanded_speeds(plain):
+    """The flight of a speed controller: the log holds the speeds that the map makes of its shares, and no shares."""
+    shares = [plain.imported[f"command{i}"] for i in range(1, 5)]
+    factor = plain.imported["battery_voltage"] / VOLTS
+    speeds = {f"w{i}_CMD": factor * np.polyval(MAP[::-1], c) for i, c in enumerate(shares, 1)}
+    table = plain.imported.drop(columns=[c.name for c in shares]).assign(**speeds)
+    return dataclasses.replace(plain, imported=table, filtered=table)
+
+
+def test_commanded_speeds_show_a_lag_as_shares_do():
+    slow = {"up": 0.04, "down": 0.045}
+    references = [with_commanded_speeds(flown(s, compared=False)) for s in (11, 12)]
+    level = examine([*references, *(with_commanded_speeds(flown(s, **slow)) for s in (1, 2, 3))], MODEL, {})
+    found, since, parameters = only(level)
+    assert (found, since) == ("motor_lag", "changed")
+    value, std = parameters["time_constant"]
+    assert abs(value - 0.0425) < 3 * std
+    # a held-out flight of the other kind of commands shows nothing
+    held = [flown(4, **slow), with_commanded_speeds(flown(5, **slow))]
+    both, own = (gains(level.effects, flights, level.healthy)["motor_lag"].removed for flights in (held, held[1:]))
+    assert own.min() > 0.7
+    np.testing.assert_array_equal(both, own)
+    healthy = [*references, *(with_commanded_speeds(flown(s)) for s in (1, 2, 3))]
+    assert not examine(healthy, MODEL, {}).effects

@@ -1,5 +1,6 @@
 """Rotors that something disturbs, in a vehicle whose controller answers: the answers are no part of lag and delay."""
 
+import dataclasses
 import functools
 
 import numpy as np
@@ -10,7 +11,7 @@ from quasi.airframe import Airframe
 from quasi.filtering.forces import low_pass
 from quasi.gap.flights.level import Flown
 from quasi.gap.flights.residual_tables import spectra
-from quasi.gap.levels.drive.findings import _odd_rotor, weak
+from quasi.gap.levels.drive.findings import _odd_rotors, weak
 from quasi.gap.levels.drive.fit import Belief, DriveFit, fit_drive
 from quasi.gap.levels.drive.identify import examine
 
@@ -112,6 +113,21 @@ def test_a_model_is_not_blamed_for_how_its_lag_was_found(size, own, lag):
     assert not level.effects and not level.ties
 
 
+def test_a_model_that_states_one_rotors_factor_is_not_blamed_for_how_the_lag_of_all_was_found():
+    """The factor is on the model's own lag, which is still that of output error."""
+    flights = []
+    for plain, slow in ((flown(s), flown(s, lag=2.0 * LAG)) for s in (1, 2, 3, 4)):
+        own = {name: slow.imported[name] for name in ("w2", "command2")}
+        flights.append(dataclasses.replace(plain, imported=plain.imported.assign(**own)))
+    document = model_of([flown(s) for s in (21, 22, 23)])
+    (effect,) = examine(flights, document, {}).effects
+    factor = effect["parameters"]["rotor2"]["value"]
+    assert factor == pytest.approx(2.0, rel=0.2)
+    extension = {"id": "motor_lag", "actuators": {"rotor2 lag factor": factor}}
+    level = examine(flights, document | {"extensions": [extension]}, {})
+    assert not level.effects and not level.ties
+
+
 @pytest.mark.parametrize("size", [2.0, 5.0])
 def test_a_lag_that_was_always_there_is_found_whatever_the_models_flights_were(size):
     document = model_of([flown(s, size=size) for s in (21, 22, 23)])
@@ -177,8 +193,26 @@ def test_a_rotor_is_no_odder_than_so_few_samples_can_show():
 def test_flights_that_differ_more_than_usual_make_a_rotor_odd_as_seldom_as_their_own_spread_says(now, before):
     rng, flights = np.random.default_rng(0), [flown(1)] * now + [flown(1, compared=False)] * before
     values = 0.01 * rng.standard_normal((1000, now + before, 4))
-    alarms = sum(_odd_rotor(flights, own, np.full_like(own, 0.005)) is not None for own in values)
+    alarms = sum(bool(_odd_rotors(flights, own, np.full_like(own, 0.005), 1)) for own in values)
     assert alarms < 30  # of two flights, one rotor alone had made 50, and twice as many where they differ by 0.02
+
+
+@pytest.mark.parametrize(
+    ("lags", "odd"),
+    [
+        ((0.0, 0.5, 0.5, 0.0), {1: 0.5, 2: 0.5}),  # which of the four is furthest from their mean was chance
+        ((0.5, 0.0, 0.0, 0.5), {0: 0.5, 3: 0.5}),
+        ((0.0, 0.5, 0.0, 0.0), {1: 0.5}),
+        ((0.0, 0.5, -0.5, 0.0), {1: 0.5, 2: -0.5}),
+        ((0.0, 1.0, 0.5, 0.0), {1: 1.0, 2: 0.5}),
+    ],
+)
+def test_rotors_are_odd_next_to_those_that_are_alike(lags, odd):
+    flights = [flown(1)] * 3
+    values = np.array(lags) + 0.01 * np.random.default_rng(0).standard_normal((3, 4))
+    for sign in (1, -1):
+        found = _odd_rotors(flights, sign * values, np.full((3, 4), 0.05), sign)
+        assert {o.rotor: o.size for o in found} == pytest.approx({k: sign * v for k, v in odd.items()}, abs=0.03)
 
 
 def test_flights_whose_telemetry_has_several_rates_share_the_frequencies_of_their_spectra():

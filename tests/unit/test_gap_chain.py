@@ -273,7 +273,7 @@ def test_a_lag_that_was_found_is_the_model_s_own_from_then_on():
     ("own", "expected"),
     [
         ({}, {"time constants": 0.05}),
-        ({"time constants": [0.02, 0.03, 0.03, 0.02]}, {"time constants": [0.04, 0.06, 0.06, 0.04]}),
+        ({"time constants": [0.02, 0.08, 0.08, 0.02]}, {"time constants": [0.025, 0.1, 0.1, 0.025]}),
         ({"time constants up": 0.02}, {"time constants": 0.05}),
         ({"time constants up": 0.02, "time constants down": [0.03] * 4},
          {"time constants": 0.05, "time constants up": 0.04, "time constants down": [0.06] * 4}),
@@ -316,3 +316,19 @@ def test_the_lag_of_one_rotor_multiplies_its_own_and_shifts_rotors_next_to_that_
     np.testing.assert_allclose(actuators_of(later).up, [0.32, 0.32, 0.02, 0.02])
     with pytest.raises(ConfigError, match="'rotor1 lag factor' is 0.0, expected a positive"):
         actuators_of(extended(base, ("motor_lag", {"rotor1": -1.0})))
+
+
+@pytest.mark.parametrize(("always", "changed"), [(2.0, 2.5), (0.35, 0.37)])
+def test_factors_on_one_rotors_lag_that_was_always_there_and_that_changed_multiply(always, changed):
+    base = base_of("withGravity")
+    slow = extended(base, *(("motor_lag", {"rotor2": factor - 1.0}) for factor in (always, changed)))
+    np.testing.assert_allclose(actuators_of(slow).up / actuators_of(base).up, [1.0, always * changed, 1.0, 1.0])
+
+
+def test_a_time_constant_that_was_found_is_what_the_next_comparison_starts_from():
+    """Rotors of the model with lags of their own: one of twice the others' had taken 5 % off what was found."""
+    base, own = base_of("withGravity"), {"value": [0.02, 0.02, 0.02, 0.04]}
+    base = Model({**base.document, "actuators": dict.fromkeys(("time constants", "time constants up"), own)})
+    base.document["actuators"]["time constants down"] = {"value": [0.03, 0.03, 0.03, 0.06]}
+    slow = extended(base, ("motor_lag", {"time_constant": 0.05}))
+    assert belief_of(slow.document, "speeds").values[:2].mean() == pytest.approx(0.05)

@@ -6,6 +6,7 @@ import pytest
 from plain_plant import made_model
 
 from quasi.gap.catalogue import catalogue
+from quasi.gap.diagnosis import count_found
 from quasi.gap.effect import Vehicle
 from quasi.gap.flights.gathering import gather
 from quasi.gap.levels.drive.fit import CONSTANTS
@@ -202,3 +203,9 @@ def test_causes_of_the_drive_that_are_not_named_are_wrong_ones(model):
     (found,) = commanded.wrong_ones(sagging, [], catalogue(), model, vehicle).values()
     drive = found.document["extensions"][0]["actuators"]
     assert drive == {"voltage exponent": pytest.approx(0.7), "reference voltage": 15.8}
+
+
+def test_the_polynomial_has_a_term_for_each_parameter_that_was_found_of_the_drive():
+    sizes = {"motor_lag": {"time_constant": 0.03, "rotor2": 1.0, "rotor4": -0.3}, "command_delay": {"delay": 0.004},
+             "battery_sag": {"exponent": 0.5, "reference voltage": 15.0}}  # fmt: skip
+    assert [count_found([(catalogue()[n], values)]) for n, values in sizes.items()] == [3, 1, 1]

@@ -131,7 +131,7 @@ def test_a_voltage_that_stays_cannot_show_what_it_does():
 
 
 def test_a_delay_that_was_always_there_and_one_that_was_added_are_judged_together():
-    healthy = {"values": [UP, DOWN, 0.0, *MAP, 1.0, *8 * [0.0]], "voltage": VOLTS}
+    healthy = {"values": [UP, DOWN, 0.0, *MAP, 1.0, *8 * [0.0]], "voltage": VOLTS, "learned": {"kind": "shares"}}
     always, changed = (
         {"id": "command_delay", "since": since, "parameters": {"delay": {"value": value}}}
         for since, value in (("always", 0.004), ("changed", 0.006))

@@ -1,7 +1,7 @@
-"""Stated faults of the rotors' drive: commands that sit at a limit, one motor that turns slower than the others."""
+"""Stated faults of the rotors' drive: commands that sit at a limit, motors that turn slower than the others."""
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -87,43 +87,52 @@ def saturated(flights: Sequence[Flown], kind: str) -> list[dict[str, Any]]:
 
 
 def weak(flights: Sequence[Flown], fits: Sequence[DriveFit]) -> list[dict[str, Any]]:
-    """A rotor that turns slower (or faster) at the same command than the others do, beyond the reference flights."""
+    """Rotors that turn slower (or faster) at the same command than the others do, beyond the reference flights."""
     centred = np.eye(4) - 0.25  # apart from the mean of the rotors, which is the map's
     errors = [np.sqrt(np.diag(centred @ d.covariance()[SPEED_SHARE:LAG, SPEED_SHARE:LAG] @ centred)) for d in fits]
-    odd = _odd_rotor(flights, np.array([d.values[SPEED_SHARE:LAG] for d in fits]), np.hypot(ALIKE, errors))
-    if odd is None or abs(0.75 * odd[1]) < WEAK:
-        return []
-    i, size, std = odd
-    word = "slower" if size < 0 else "faster"
+    values = np.array([d.values[SPEED_SHARE:LAG] for d in fits])
     return [
         {
             "id": "weak_motor",
-            "text": f"rotor {i + 1} turns {100 * abs(size):.1f} % {word} at the same command than the others",
-            "evidence": {"rotor": i + 1, "speed": 1.0 + size, "std": std},
+            "text": f"rotor {odd.rotor + 1} turns {100 * abs(odd.size):.1f} % {'slower' if odd.size < 0 else 'faster'} "
+            f"at the same command than {odd.others}",
+            "evidence": {"rotor": odd.rotor + 1, "speed": 1.0 + odd.size, "std": odd.std},
         }
+        for odd in _odd_rotors(flights, values, np.hypot(ALIKE, errors), -1)
+        if abs(0.75 * odd.size) >= WEAK
     ]
 
 
 def slow(flights: Sequence[Flown], fits: Sequence[DriveFit]) -> list[dict[str, Any]]:
-    """A rotor that follows its commands later (or sooner) than the others do, beyond the reference flights."""
+    """Rotors that follow their commands later (or sooner) than the others do, beyond the reference flights."""
     errors = [d.lag_errors() for d in fits]
-    odd = _odd_rotor(flights, np.array([d.values[LAG:] for d in fits]), np.hypot(LAGS_ALIKE, errors))
-    if odd is None:
-        return []
-    i, size, std = odd
+    values = np.array([d.values[LAG:] for d in fits])
     return [
         {
             "id": "motor_lag",
-            "text": f"rotor {i + 1} follows its commands with {np.exp(size):.2f} times the time constant of the others",
-            "evidence": {"rotor": i + 1, "factor": float(np.exp(size)), "std": float(np.exp(size) * std)},
+            "text": f"rotor {odd.rotor + 1} follows its commands with {np.exp(odd.size):.2f} times the time constant "
+            f"of {odd.others}",
+            "evidence": {"rotor": odd.rotor + 1, "factor": float(np.exp(odd.size)),
+                         "std": float(np.exp(odd.size) * odd.std)},
         }
-    ]
+        for odd in _odd_rotors(flights, values, np.hypot(LAGS_ALIKE, errors), 1)
+    ]  # fmt: skip
 
 
-def _odd_rotor(flights: Sequence[Flown], values: np.ndarray, doubt: np.ndarray) -> tuple[int, float, float] | None:
-    """The rotor (0 to 3) that is apart from the others, by how much, and its standard error; None if none is.
+class Odd(NamedTuple):
+    """A rotor (0 to 3) that is apart from others that are alike, by how much, and its standard error."""
+
+    rotor: int
+    others: str
+    size: float
+    std: float
+
+
+def _odd_rotors(flights: Sequence[Flown], values: np.ndarray, doubt: np.ndarray, side: int) -> list[Odd]:
+    """Rotors that are apart from the others, or from two that are alike where these three differ as well.
 
     values, doubt (F, 4)  of the flights, and their standard errors with what healthy rotors differ by between flights
+    side  1 or -1, to which faults are: of two pairs that are each alike, that one is odd
     """
     compared = np.array([f.compared for f in flights])
     apart = values - values.mean(axis=1, keepdims=True)
@@ -137,5 +146,18 @@ def _odd_rotor(flights: Sequence[Flown], values: np.ndarray, doubt: np.ndarray) 
     std = scatter * np.sqrt(1.0 / len(now) + (1.0 / len(before) if len(before) else 0.0))
     size = now.mean(axis=0) - usual
     i = int(np.argmax(np.abs(size)))
-    # the mean of four holds a quarter of the odd one
-    return (i, float(size[i] / 0.75), float(std[i] / 0.75)) if abs(size[i]) >= ODD_T * std[i] else None
+    if abs(size[i]) < ODD_T * std[i]:
+        return []
+    alike = np.delete(np.arange(4), i)
+    if np.any(np.abs(size - size[alike].mean())[alike] >= ODD_T * std[alike]):
+        order = np.argsort(side * size)
+        gaps = np.diff(size[order]) * side
+        near = np.flatnonzero(gaps < ODD_T * std[order[1:]])
+        first = near[0] if len(near) else np.argmin(gaps)
+        alike = np.sort(order[first : first + 2])
+    away = size - size[alike].mean()
+    # the mean of the four is in each of them; that of those that are alike is as unsure as few rotors are
+    factor = np.sqrt((1.0 + 1.0 / len(alike)) / 0.75)
+    others = "the others" if len(alike) == 3 else f"rotors {alike[0] + 1} and {alike[1] + 1}"
+    found = [Odd(int(k), others, float(away[k]), float(factor * std[k])) for k in range(4) if k not in alike]
+    return [odd for odd in found if abs(odd.size) >= ODD_T * odd.std]

@@ -32,6 +32,8 @@ CONSTANTS = ("up", "down", "delay", "a0", "a1", "a2", "exponent", *(f"rotor{i}" 
 SIZES = np.array([5e-4, 5e-4, 3e-4, 2.0, 20.0, 20.0, 0.02, *[0.002] * 4, *[0.02] * 4])
 # prior standard deviations of a flight's constants about the start of the fit, where those without information stay
 LOOSE = np.array([0.05, 0.05, 0.05, 300.0, 2000.0, 2000.0, 0.5, *[0.1] * 4, *[0.7] * 4])
+# of the map of commanded speeds, rad/s, where that of shares has 1: as large a change, at some 2000 rad/s
+MAP_UNITS = {"shares": {}, "speeds": {"a1": 5e-4, "a2": 5e-8}}
 
 
 class Belief(NamedTuple):
@@ -200,9 +202,8 @@ def fit_drive(flown: Flown, kind: str, start: Belief, has_own_lags: bool = False
     )
     volts = voltage_of(flown) if kind == "shares" and start.voltage else None
     log = Prediction(flown, command, speed, volts, start.voltage, start.values)
-    size = SIZES if kind == "shares" else np.concatenate([SIZES[:3], [2.0, 0.01, 1e-6], SIZES[6:]])
+    size = SIZES * [MAP_UNITS[kind].get(n, 1.0) for n in CONSTANTS]
     loose = LOOSE if kind == "shares" else np.concatenate([LOOSE[:3], [200.0, 0.3, 1e-9], LOOSE[6:]])
-    loose = np.where(np.arange(len(CONSTANTS)) == 6, loose if volts is not None else 1e-6, loose)
     noise = max(0.02 * float(np.std(log.target)), 1.0)  # rad/s, weighs the looseness against the data
     plain, x = log.fit(start.values, loose, noise, size, has_own_lags | (np.arange(len(CONSTANTS)) < LAG))
     return DriveFit(

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from quasi.gap.flights.level import Flown, by_cause, causes_of, values_of
-from quasi.gap.levels.drive.fit import CONSTANTS, Belief, DriveFit, commanded, fit_drive
+from quasi.gap.levels.drive.fit import CONSTANTS, Belief, DriveFit, fit_drive
 from quasi.gap.levels.drive.identify import DRIVE_CAUSES, LATE, lag_columns, usual_spreads, whole
 from quasi.gap.materiality import Gain, LinearErrors, each_usable, gains_of, without_nuisances
 from quasi.terms.rotor_map import ROTOR_NUMBERS
@@ -15,27 +15,27 @@ from quasi.terms.rotor_map import ROTOR_NUMBERS
 def gains(
     entries: Sequence[Mapping[str, Any]], flights: Sequence[Flown], healthy: Mapping[str, Any]
 ) -> dict[str, Gain]:
-    """What causes of the drive remove. flights  before any calibration; healthy  {"values", "voltage"} compared with.
+    """What causes of the drive remove. flights  before any calibration; healthy  what `identify.examine` compared with.
 
     Raises DataError when no flight has commands and rotor speeds enough.
     """
-    reference = Belief(np.array(healthy["values"], float), healthy["voltage"])
+    reference, kind = Belief(np.array(healthy["values"], float), healthy["voltage"]), healthy["learned"]["kind"]
     of_rotors = any(f"rotor{i}" in values_of(e) for e in entries for i in ROTOR_NUMBERS)
 
     def errors(flown: Flown) -> LinearErrors:
-        whole_band = fit_drive(flown, commanded(flown), reference, of_rotors)
+        whole_band = fit_drive(flown, kind, reference, of_rotors)
         fit = whole_band.in_band()
-        slopes = fit.slopes @ _without_nuisances(whole_band, reference, causes_of(entries))
+        slopes = fit.slopes @ _without_nuisances(whole_band, reference, kind, causes_of(entries))
         return LinearErrors(fit.residual + slopes @ (whole(flown, fit) - reference.values), fit.residual, slopes)
 
     sizes = {cause: _deviations(cause, of, reference.values) for cause, of in by_cause(entries).items()}
     return gains_of(each_usable(flights, errors), sizes)
 
 
-def _without_nuisances(fit: DriveFit, reference: Belief, own: set[str]) -> np.ndarray:
+def _without_nuisances(fit: DriveFit, reference: Belief, kind: str, own: set[str]) -> np.ndarray:
     """(15, 15): columns times this have the flight's usual nuisances taken off, all but those of the `own` causes."""
     named = {n for c in own for n in DRIVE_CAUSES.get(c, ())} | ({"delay"} if own & LATE else set())
-    usual = usual_spreads(reference.values, 1.0 / fit.rate)
+    usual = usual_spreads(reference.values, 1.0 / fit.rate, kind)
     spread = {k: usual[n] for k, n in enumerate(CONSTANTS) if n in usual and n not in named}
     return without_nuisances(np.linalg.inv(fit.covariance()), spread)
 

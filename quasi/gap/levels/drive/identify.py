@@ -20,6 +20,7 @@ from quasi.gap.flights.residual_tables import Residuals, level_tables
 from quasi.gap.levels.drive.findings import LAGS_ALIKE, saturated, slow, weak
 from quasi.gap.levels.drive.fit import (
     CONSTANTS,
+    MAP_UNITS,
     Belief,
     DriveFit,
     belief_of,
@@ -51,7 +52,7 @@ DRIVE_UNITS = {"up": "s", "down": "s", "delay": "s", "late": "s", "exponent": "1
 LATE = frozenset({"command_delay", "telemetry_delay"})
 USUAL_AGE, AGE_SPREAD = 2e-3, 7e-4  # s, of rotor telemetry that nothing is wrong with
 # standard deviations of what differs between healthy flights, as shares for the time constants; and of the error of
-# what a model believes, common to all flights
+# what a model believes, common to all flights. The map is that of shares, see MAP_UNITS
 NORMAL = {"up": LAGS_ALIKE, "down": LAGS_ALIKE, "delay": 7e-4, "a0": 8.0, "a1": 40.0, "a2": 40.0, "exponent": 0.03,
           **{f"rotor{i}": 0.01 for i in ROTOR_NUMBERS}, **dict.fromkeys(OWN_LAGS, LAGS_ALIKE)}  # fmt: skip
 BELIEVED = {
@@ -115,7 +116,7 @@ def examine(flights: Sequence[Flown], document: Mapping[str, Any], options: Mapp
         timing = np.array([n in TIMING for n in CONSTANTS])
         shift = timing * np.median([fits[k].values - fits[k].plain for k in first], axis=0)
         if has_lag_of_extension(document):
-            shift[np.arange(len(CONSTANTS)) != DELAY] = 0.0  # an earlier comparison found them by prediction
+            shift[:DELAY] = 0.0  # an earlier comparison found it by prediction; how rotors differ is the model's own
         at += shift
         reference = belief._replace(values=at)
         # of flights that were flown otherwise, output error may have been off by less
@@ -136,11 +137,11 @@ def examine(flights: Sequence[Flown], document: Mapping[str, Any], options: Mapp
 
     doubt = _doubt(document)
     interval = 1.0 / min(d.rate for d in fits)
-    usual = usual_spreads(reference.values, interval)
+    usual = usual_spreads(reference.values, interval, kind)
     sessions = [(options.get("sessions") or {}).get(f.key, "") for f in used]
 
     def build(grams: list[np.ndarray]) -> SensorMixedModel:
-        return _mixed(grams, compared, asked, reference, doubt, sessions, usual, biased)
+        return _mixed(grams, compared, asked, reference, kind, doubt, sessions, usual, biased)
 
     mixed = build([p.gram() for p in products])
     level.tests = mixed
@@ -229,13 +230,14 @@ def _doubt(document: Mapping[str, Any]) -> float:
     return float(np.hypot(1.0, max(shares, default=0.0) / BELIEVED["up"]))
 
 
-def usual_spreads(values: np.ndarray, interval: float) -> dict[str, float]:
+def usual_spreads(values: np.ndarray, interval: float, kind: str) -> dict[str, float]:
     """What constants near `values` (15,) differ by between healthy flights with a sample each `interval` s, by NORMAL.
 
     By what is unknown of the time between two samples, lags and delay may differ with the manoeuvre.
     """
     unknown = timing_error(interval)
     own = {"up": (values[0], unknown), "down": (values[1], unknown), "delay": (1.0, unknown)}
+    own |= {n: (unit, 0.0) for n, unit in MAP_UNITS[kind].items()}
     spreads = {n: (s, *own.get(n, (1.0, 0.0))) for n, s in NORMAL.items()}
     return {n: float(np.hypot(share * unit, timing)) for n, (share, unit, timing) in spreads.items()}
 
@@ -304,12 +306,12 @@ def whole(flown: Flown, fit: DriveFit) -> np.ndarray:
 
 
 def _mixed(
-    grams: Sequence[np.ndarray], compared: np.ndarray, asked: Sequence[str], reference: Belief,
+    grams: Sequence[np.ndarray], compared: np.ndarray, asked: Sequence[str], reference: Belief, kind: str,
     doubt: float, sessions: Sequence[str], usual: Mapping[str, float], biased: np.ndarray,
 ) -> SensorMixedModel:  # fmt: skip
     """biased (15,), by what the model's constants may be off for the way in which they were found."""
     place = {name: 1 + i for i, name in enumerate([*CONSTANTS, "late", *CAUSE_COLUMNS["motor_lag"]])}
-    scale = {"up": reference.values[0], "down": reference.values[1]}
+    scale = {"up": doubt * reference.values[0], "down": doubt * reference.values[1], **MAP_UNITS[kind]}
     width = len(place) + 1
     own = [name for names in (DRIVE_CAUSES[c] for c in asked) for name in names]
     source = list(range(width)) + [place[n] for n in NORMAL] + [place[n] for n in BELIEVED]
@@ -319,9 +321,7 @@ def _mixed(
     shared = list(range(width + len(NORMAL), len(source)))
     known = BELIEVED if reference.aged is None else {**BELIEVED, "delay": AGE_SPREAD}
     off = dict(zip(CONSTANTS, biased))
-    believed = np.array(
-        [np.hypot(s * scale.get(n, 1.0) * (doubt if n in scale else 1.0), off.get(n, 0.0)) for n, s in known.items()]
-    )
+    believed = np.array([np.hypot(s * scale.get(n, 1.0), off.get(n, 0.0)) for n, s in known.items()])
     tested = {c: [place[n] for n in CAUSE_COLUMNS.get(c, DRIVE_CAUSES[c])] for c in asked}
     alike = {c: [place[n] for n in some] for c, some in ALIKE_COLUMNS.items()}
     base = {c: [place[n] for n in DRIVE_CAUSES[c]] for c in CAUSE_COLUMNS}

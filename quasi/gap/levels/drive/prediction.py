@@ -32,6 +32,7 @@ LEAST_LAG, MOST_LAG, EARLIEST, LATEST = 0.002, 0.4, -0.03, 0.1  # s
 TRIED_LAGS = np.geomspace(LEAST_LAG, MOST_LAG, 9)  # s, about twice as long each time
 MOST_APART = 2.0  # of the logarithm of a rotor's lag over the others'
 DELAY = 2  # place of the delay among the constants
+MAP = slice(3, 6)  # places of the map's coefficients
 SPEED_SHARE = 7  # place of the first rotor's share of the speed
 LAG = 11  # place of the logarithm of the first rotor's lag over the others'
 
@@ -80,8 +81,8 @@ class Prediction:
             [np.where(finite, x, 0.0) for x in columns.T] for columns in (command, speed)
         )  # fmt: skip
         self.target = np.stack([w[self.rows] for w in self.speeds], axis=1)
-        # a rotor's own share is one of the speed at the start of the fit: map and shares then add, and do not multiply,
-        # so that the fit does not creep along what they have in common
+        # a rotor's own share is one of the speed by a map that stays: map and shares then add, and do not multiply, so
+        # that the fit does not creep along what they have in common
         self.first = [_mapped(start, c) for c in self.commands]
         self._buffer = np.empty(len(self.t))
 
@@ -188,7 +189,8 @@ class Prediction:
 
         x = start.copy()
         x[:3] = np.clip(x[:3], low[:3] + 1e-3, high[:3])
-        x = plain = descend(x, free, max(round(self.rate / RATE), 1))[0]
+        plain = descend(x, free, max(round(self.rate / RATE), 1))[0]
+        x = self._with_own_map(plain, start)
         rest = free & (np.arange(len(x)) != DELAY)
         for _ in range(DELAY_SEARCHES):
             self.learn(x)
@@ -196,6 +198,15 @@ class Prediction:
             self.learn(x)
             x = descend(delayed(x, slopes), rest)[0]
         return plain, x
+
+    def _with_own_map(self, x: np.ndarray, start: np.ndarray) -> np.ndarray:
+        """x with shares of the speed by its own map, which takes what all rotors have: the start's may be far off."""
+        x, own, old = x.copy(), x[SPEED_SHARE:LAG], np.concatenate(self.first)
+        x[MAP] += own.mean() * start[MAP]
+        self.first = [_mapped(x, c) for c in self.commands]
+        new = np.concatenate(self.first)
+        x[SPEED_SHARE:LAG] = (own - own.mean()) * (old @ new) / (new @ new)
+        return x
 
     def _nearest(self, x: np.ndarray) -> np.ndarray:
         """x with that lag and delay, of all, which leave least: along the delay there is a minimum near each sample.
