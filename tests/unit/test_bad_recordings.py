@@ -274,10 +274,10 @@ def test_a_run_of_nan_in_a_table_is_a_lost_span(tmp_path):
 def test_time_of_a_table_that_steps_back_or_does_not_run(tmp_path):
     def back(frame):
         frame.loc[1000:1020, "t"] -= 3.0
-        return frame
+        return frame.assign(t=frame["t"] + 1.7e9)  # since 1970
 
     _, about = table(tmp_path, back)
-    assert any("step back" in n for n in about["notes"])
+    assert any("step back (first in row 1002, by 2.995 s)" in n for n in about["notes"])
     for spoilt, words in ((lambda f: f.assign(t=0.0), "samples of its own"), (lambda f: f.assign(t="x"), "holds text")):
         with pytest.raises(QuasiError, match=words):
             table(tmp_path, spoilt)

@@ -128,6 +128,21 @@ def test_what_is_planted_in_a_made_flight_is_named(table, monkeypatch, plant):
         assert about["synchronisation"]["lag"]["value"] == pytest.approx(-0.06, abs=2e-3)
 
 
+@pytest.mark.parametrize("unseen", [slice(2000, None), slice(1400, 1450)])
+def test_captured_frames_of_zeros_were_not_seen(table, tmp_path, unseen):
+    path, config = table
+    columns = pd.read_csv(path)
+    asked = {"flight": "made", "quadrotor": "made", "flight controller": "table", "capture": None, "onboard": str(path)}
+    whole, _ = importing.import_flight(asked, config, {"resampling rate": 100.0})
+    columns.loc[columns.index[unseen], [*Q, *PLACE]] = 0.0
+    columns.to_csv(tmp_path / "log.csv", index=False)
+    frame, about = importing.import_flight(asked | {"onboard": str(tmp_path / "log.csv")}, config, {})
+    assert about["contradictions"] == []
+    seen = frame["velocity_sample"] > 0
+    for name in ("u", "v", "w"):
+        np.testing.assert_allclose(frame[name][seen], np.interp(frame["t"], whole["t"], whole[name])[seen], atol=0.1)
+
+
 VELOCITY, ROTORS = ("vx", "vy", "vz"), ("w1", "w2", "w3", "w4")
 # of flights whose attitude, position and velocity were logged on board
 ONBOARD_PLANTS = {
