@@ -11,6 +11,7 @@ from quasi.errors import DataError
 from quasi.importing.clocks.clock_fit import uniform
 from quasi.importing.clocks.synchronisation import Motion
 from quasi.importing.series import interpolate_columns
+from quasi.sensor_limits import AXES_ANGLE
 
 COMPARED_RATE, COMPARED_BAND = 100.0, 3.0  # Hz
 LEAST_TURNING = 0.1  # rad/s, rms body rate below which an attitude is not judged
@@ -347,16 +348,24 @@ def doubtful_units(rates: np.ndarray, force: np.ndarray) -> list[str]:
     fastest = float(np.nanmax(np.abs(rates), initial=0.0))
     if fastest > np.radians(4500):
         found.append(f"body rates reach {np.degrees(fastest):.0f} deg/s, beyond any gyro; check their unit")
-    felt = np.linalg.norm(force[np.isfinite(force).all(axis=1)], axis=1)
+    force = force[np.isfinite(force).all(axis=1)]
+    felt = np.linalg.norm(force, axis=1)
     typical = float(np.median(felt)) / GRAVITY if len(felt) else 1.0
     if not 0.2 < typical < 5.0:
         found.append(f"the specific force is typically {typical:.3g} g, where a flight feels about 1; check its unit")
-    elif (
-        len(felt) and np.nanquantile(force[:, 2], 0.1) > 0.5 * typical * GRAVITY
-    ):  # not only where it lies after a crash
+    elif len(felt) and np.quantile(force[:, 2], 0.1) > 0.5 * typical * GRAVITY:  # not only where it lies after a crash
         found.append(
             "the specific force points down as it does upside down, where at rest and in flight it points up with 1 g; "
             "check its sign and the body axes"
+        )
+    elif len(felt) and np.quantile(force[:, 2] + np.cos(AXES_ANGLE) * felt, 0.1) > 0.0:
+        typically = np.median(force, axis=0)
+        k = int(np.argmax(np.abs(typically[:2])))
+        side = (("back", "front"), ("left", "right"))[k][int(typically[k] > 0.0)]
+        angle = np.degrees(np.arctan2(np.hypot(*typically[:2]), -typically[2]))
+        found.append(
+            f"the specific force typically points {angle:.0f} deg away from up, to the {side}, where at rest and in "
+            "flight it points up; check the body axes"
         )
     return found
 

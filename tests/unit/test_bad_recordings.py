@@ -301,6 +301,9 @@ def test_units_that_contradict_the_numbers_of_a_table_are_noted(tmp_path):
     _, about = table(tmp_path, lambda f: f.assign(az=-f["az"]))
     assert any("points down as it does upside down" in n and "check its sign" in n for n in about["notes"])
     assert about["verdict"] == "unusable"
+    _, about = table(tmp_path, lambda f: f.assign(ax=-f["az"], az=f["ax"], p=-f["r"], r=f["p"]))  # mounted nose up
+    assert any("90 deg away from up, to the front" in n and "check the body axes" in n for n in about["notes"])
+    assert about["verdict"] == "unusable"
     half = lambda f: f.assign(az=np.where(np.arange(len(f)) > 0.4 * len(f), -f["az"], f["az"]))  # noqa: E731
     assert not any("points down" in n for n in table(tmp_path, half)[1]["notes"])  # it landed on its back
 
