@@ -143,6 +143,21 @@ def test_captured_frames_of_zeros_were_not_seen(table, tmp_path, unseen):
         np.testing.assert_allclose(frame[name][seen], np.interp(frame["t"], whole["t"], whole[name])[seen], atol=0.1)
 
 
+@pytest.mark.parametrize(("known", "words"), [(1, "neither position nor velocity"), (500, "for 83 % of the flight")])
+def test_a_flight_is_not_good_whose_logged_position_is_hardly_there(table, tmp_path, known, words):
+    path, config = table
+    columns = pd.read_csv(path)
+    columns.loc[columns.index[known:], list(PLACE)] = np.nan
+    columns.to_csv(tmp_path / "log.csv", index=False)
+    imu, room = config["table columns"]["sources"]
+    plan = {"time": "t", "sources": [imu, {"name": "estimate", "columns": room["columns"]}]}
+    asked = {"flight": "made", "quadrotor": "made", "flight controller": "table", "capture": None,
+             "onboard": str(tmp_path / "log.csv")}  # fmt: skip
+    _, about = importing.import_flight(asked, {"table columns": plan}, {"resampling rate": 100.0})
+    assert about["verdict"] == ("unusable" if known == 1 else "usable with care")
+    assert words in about["verdict because"]
+
+
 VELOCITY, ROTORS = ("vx", "vy", "vz"), ("w1", "w2", "w3", "w4")
 # of flights whose attitude, position and velocity were logged on board
 ONBOARD_PLANTS = {
