@@ -134,10 +134,19 @@ def check_length_ratio(ratio: float | None, position: str) -> list[Contradiction
     low, high = LENGTH_RATIO
     if ratio is None or low < ratio < high:
         return []
-    how = f"the position accelerates {ratio:.2f} times as much as is measured, limits {low:.2f} to {high:.2f}"
+    what = position.rpartition(" ")[2]
+    how = f"the {what} accelerates {ratio:.2f} times as much as is measured, limits {low:.2f} to {high:.2f}"
     text = _contradict("accelerometer", position, how, "check the length unit and the accelerometer's scale")
     limit = low if ratio <= low else high
     return [Contradiction(("accelerometer", position), "acceleration ratio", ratio, limit, "1", text)]
+
+
+def check_length_bounds(bounds: tuple[float, float] | None, position: str) -> list[Contradiction]:
+    """bounds  of the accelerations that the accelerometer measures over those of a position, None where unknown"""
+    low, high = LENGTH_RATIO
+    if bounds is None or bounds[0] <= 0.0 or (bounds[0] * low < 1.0 and bounds[1] * high > 1.0):
+        return []
+    return check_length_ratio(2.0 / sum(bounds), position)
 
 
 def check_residual(residual: np.ndarray | None, attitude: str | None, position: str) -> list[Contradiction]:

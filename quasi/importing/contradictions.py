@@ -155,6 +155,7 @@ class ForceComparison(NamedTuple):
     residual    (3,) m/s2, body FRD, that the accelerometer measures beyond what gravity and motion need; median
     gains       {"ax", "ay", "az": bounds of measured over needed specific force}, of the axes that correlate
     vertical    bounds of the measured over the captured vertical acceleration, None where they do not correlate
+    lengths     the same of the whole acceleration
     horizontal  correlation of the horizontal accelerations as they are (after the best turn where headings may differ),
                 and after the best turn or mirror
     tilt        rad, of the vertical by the turn or mirror that brings the path's accelerations nearest to the measured
@@ -166,6 +167,7 @@ class ForceComparison(NamedTuple):
     residual: np.ndarray
     gains: dict[str, tuple[float, float]]
     vertical: tuple[float, float] | None
+    lengths: tuple[float, float] | None
     horizontal: tuple[float, float]
     tilt: float | None
     misread: str | None
@@ -203,17 +205,17 @@ def compare_forces(
     there = interpolate_columns(at, felt.t, felt.values)
     sensed = rotate(q, there) + gravity
     found = {n: _slopes(there[:, k], needed[:, k], LEAST_MOTION) for k, n in enumerate(("ax", "ay", "az"))}
-    one, other = (
-        v[:, 0] + 1j * v[:, 1] for v in (sensed - sensed.mean(axis=0), acceleration - acceleration.mean(axis=0))
-    )
+    both = sensed - sensed.mean(axis=0), acceleration - acceleration.mean(axis=0)
+    one, other = (v[:, 0] + 1j * v[:, 1] for v in both)
     size = float(np.linalg.norm(one) * np.linalg.norm(other)) or 1.0
     turned, mirrored = float(np.abs(np.vdot(other, one))) / size, float(np.abs(np.sum(other * one))) / size
     return ForceComparison(
         np.median(there - needed, axis=0),
         {n: bounds for n, bounds in found.items() if bounds is not None},
         _slopes(sensed[:, 2], acceleration[:, 2], LEAST_MOTION),
+        _slopes(both[0].ravel(), both[1].ravel(), LEAST_MOTION),
         (turned if free_heading else float(np.vdot(other, one).real) / size, max(turned, mirrored)),
-        _tilt(sensed - sensed.mean(axis=0), acceleration - acceleration.mean(axis=0)),
+        _tilt(*both),
         _misread(acceleration, sensed, {"world": there + gravity, "body": rotate(q, sensed - gravity) + gravity}),
     )
 

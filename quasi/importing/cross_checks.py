@@ -14,6 +14,7 @@ from quasi.sensor_limits import (
     Contradiction,
     check_axis_order,
     check_directions,
+    check_length_bounds,
     check_length_ratio,
     check_rate_gains,
     check_residual,
@@ -68,10 +69,14 @@ def _check_path(
         if forces is not None:
             vertical = forces._replace(gains={}, horizontal=(1.0, 0.0), tilt=None, misread=None)
             found = check_residual(forces.residual, None, path) or check_directions(vertical, "", path)
+            if path != CAPTURED_POSITION and not found:
+                found = check_length_bounds(forces.vertical, path)
     for name, (q_t, attitude) in attitudes.items():
         # a capture's heading is aligned later; on board, attitude and path have to share their axes
         free = name == ONBOARD_ATTITUDE and path == CAPTURED_POSITION
         forces = compare_forces(motion, t, values, q_t, attitude, free, derivatives)
         if forces is not None:
             found += check_residual(forces.residual, name, path) or check_directions(forces, name, path)
+            if path != CAPTURED_POSITION and not found:
+                found += check_length_bounds(forces.lengths, path)
     return found

@@ -166,6 +166,8 @@ ONBOARD_PLANTS = {
     "position turned by half": (lambda v: v | {"x": -v["x"], "y": -v["y"]}, "on-board position"),
     "y up taken for z up": (lambda v: v | {"y": v["z"], "z": -v["y"]}, "on-board position"),
     "velocity mirrored": (lambda v: v | {"vx": v["vy"], "vy": v["vx"]}, "on-board velocity"),
+    "velocity in feet": (lambda v: v | {n: v[n] / 0.3048 for n in VELOCITY}, "on-board velocity"),
+    "position halved": (lambda v: v | {n: 0.5 * v[n] for n in PLACE}, "on-board position"),
     "vertical velocity reversed": (lambda v: v | {"vz": -v["vz"]}, "on-board velocity"),
     "accelerometer in the earth's axes": (lambda v: v | turned(v, rotate), "on-board attitude"),
     "accelerometer turned once too often": (lambda v: v | turned(v, rotate_inverse), "on-board attitude"),
