@@ -118,6 +118,11 @@ def check_directions(forces: Any, attitude: str, position: str) -> list[Contradi
         what, value, limit, other = "sign", forces.gains[wrong[0]][1], 0.0, attitude
         how = f"{', '.join(wrong)} has the opposite sign of what gravity and the motion need"
         remedy = "check signs and axes of both"
+    elif forces.exchanged:
+        what, value, limit, other = "order of axes", float(len(forces.exchanged)), 0.0, attitude
+        pairs = ", ".join(f"its {one} goes with {needed}" for one, needed in forces.exchanged.items())
+        how = f"{pairs} of what gravity and the motion need"
+        remedy = "check the order of the axes of both"
     elif forces.misread:
         what, value, limit, other = "frame", 1.0, 0.0, attitude
         stands, stated = ("earth's", "body's") if forces.misread == "world" else ("body's", "earth's")

@@ -109,12 +109,19 @@ def exchanged_axes(t: np.ndarray, rates: np.ndarray, t_attitude: np.ndarray, att
     if not pairs:
         return {}
     gyro, own = (np.concatenate([p[k] - p[k].mean(axis=0) for p in pairs]) for k in (0, 1))
-    sizes = np.sqrt(np.outer(np.mean(gyro**2, axis=0), np.mean(own**2, axis=0)))
-    alike = np.abs(gyro.T @ own / len(gyro)) / np.where(sizes > 0, sizes, np.inf)
-    moving = sizes >= LEAST_TURNING**2
-    best = np.argmax(np.where(moving, alike, 0.0), axis=1)
+    return _exchanged(gyro, own, LEAST_TURNING, ("p", "q", "r"))
+
+
+def _exchanged(one: np.ndarray, other: np.ndarray, least: float, names: tuple[str, str, str]) -> dict[str, str]:
+    """{column of `one` (n, 3): that of `other` (n, 3) which goes with it}, where it is another one; without means.
+
+    least  spread below which columns are not judged; correlations as `exchanged_axes` has them
+    """
+    sizes = np.sqrt(np.outer(np.mean(one**2, axis=0), np.mean(other**2, axis=0)))
+    alike = np.abs(one.T @ other / len(one)) / np.where(sizes > 0, sizes, np.inf)
+    best = np.argmax(np.where(sizes >= least**2, alike, 0.0), axis=1)
     return {
-        "pqr"[k]: "pqr"[j]
+        names[k]: names[j]
         for k, j in enumerate(best)
         if j != k and alike[k, j] > LEAST_CORRELATION and alike[k, k] < 0.5 * alike[k, j]
     }
@@ -158,6 +165,7 @@ class ForceComparison(NamedTuple):
     lengths     the same of the whole acceleration
     horizontal  correlation of the horizontal accelerations as they are (after the best turn where headings may differ),
                 and after the best turn or mirror
+    exchanged   {axis of the accelerometer: axis of the needed specific force that goes with it}, where another one
     tilt        rad, of the vertical by the turn or mirror that brings the path's accelerations nearest to the measured
                 ones; None where these do not go together along two directions
     misread     "world" where the accelerometer's values fit the motion as they stand, in the earth's axes; "body" where
@@ -169,6 +177,7 @@ class ForceComparison(NamedTuple):
     vertical: tuple[float, float] | None
     lengths: tuple[float, float] | None
     horizontal: tuple[float, float]
+    exchanged: dict[str, str]
     tilt: float | None
     misread: str | None
 
@@ -215,6 +224,7 @@ def compare_forces(
         _slopes(sensed[:, 2], acceleration[:, 2], LEAST_MOTION),
         _slopes(both[0].ravel(), both[1].ravel(), LEAST_MOTION),
         (turned if free_heading else float(np.vdot(other, one).real) / size, max(turned, mirrored)),
+        _exchanged(there - there.mean(axis=0), needed - needed.mean(axis=0), LEAST_MOTION, ("ax", "ay", "az")),
         _tilt(*both),
         _misread(acceleration, sensed, {"world": there + gravity, "body": rotate(q, sensed - gravity) + gravity}),
     )

@@ -67,7 +67,7 @@ def _check_path(
     if not attitudes:  # levelled by the accelerometer: only the vertical says something
         forces = compare_forces(motion, t, values, motion.t, motion.quaternion, True, derivatives)
         if forces is not None:
-            vertical = forces._replace(gains={}, horizontal=(1.0, 0.0), tilt=None, misread=None)
+            vertical = forces._replace(gains={}, horizontal=(1.0, 0.0), exchanged={}, tilt=None, misread=None)
             found = check_residual(forces.residual, None, path) or check_directions(vertical, "", path)
             if path != CAPTURED_POSITION and not found:
                 found = check_length_bounds(forces.vertical, path)

@@ -169,6 +169,7 @@ ONBOARD_PLANTS = {
     "velocity in feet": (lambda v: v | {n: v[n] / 0.3048 for n in VELOCITY}, "on-board velocity"),
     "position halved": (lambda v: v | {n: 0.5 * v[n] for n in PLACE}, "on-board position"),
     "vertical velocity reversed": (lambda v: v | {"vz": -v["vz"]}, "on-board velocity"),
+    "x and y of the accelerometer": (lambda v: v | {"ax": v["ay"], "ay": v["ax"]}, "on-board attitude"),
     "accelerometer in the earth's axes": (lambda v: v | turned(v, rotate), "on-board attitude"),
     "accelerometer turned once too often": (lambda v: v | turned(v, rotate_inverse), "on-board attitude"),
     "nothing": (lambda v: v, None),
