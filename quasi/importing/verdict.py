@@ -3,6 +3,7 @@
 from collections.abc import Mapping
 from typing import Any
 
+import numpy as np
 import pandas as pd
 
 from quasi.airframe import DEFAULT_POLES
@@ -41,8 +42,10 @@ def verdict(frame: pd.DataFrame, board: Onboard, metadata: Mapping[str, Any]) ->
         lost = 1 - float(covered(at[frame["position_sample"] > 0], at, LONGEST_BRIDGE).mean())
         whose = "the capture lost the quadrotor"
     else:
-        measured = (frame["position_sample"] > 0) | (frame["velocity_sample"] > 0)
-        lost = 1 - float(covered(at[measured], at).mean()) if measured.any() else 0.0
+        tracks = [track for track in (board.position, board.velocity, board.body_velocity) if track is not None]
+        logged = [track.t[np.isfinite(track.values).all(axis=1)] for track in tracks]
+        held = [covered(t, at + metadata["start"]["value"]) for t in logged]
+        lost = 1 - float(np.any(held, axis=0).mean()) if held else 0.0
         whose = "the on-board log holds neither position nor velocity"
     if lost > 0.2:
         care.append(f"{whose} for {100 * lost:.0f} % of the flight")
