@@ -118,6 +118,11 @@ def check_directions(forces: Any, attitude: str, position: str) -> list[Contradi
         what, value, limit, other = "sign", forces.gains[wrong[0]][1], 0.0, attitude
         how = f"{', '.join(wrong)} has the opposite sign of what gravity and the motion need"
         remedy = "check signs and axes of both"
+    elif forces.exchanged:
+        what, value, limit, other = "order of axes", float(len(forces.exchanged)), 0.0, attitude
+        pairs = ", ".join(f"its {one} goes with {needed}" for one, needed in forces.exchanged.items())
+        how = f"{pairs} of what gravity and the motion need"
+        remedy = "check the order of the axes of both"
     elif forces.misread:
         what, value, limit, other = "frame", 1.0, 0.0, attitude
         stands, stated = ("earth's", "body's") if forces.misread == "world" else ("body's", "earth's")
@@ -134,10 +139,19 @@ def check_length_ratio(ratio: float | None, position: str) -> list[Contradiction
     low, high = LENGTH_RATIO
     if ratio is None or low < ratio < high:
         return []
-    how = f"the position accelerates {ratio:.2f} times as much as is measured, limits {low:.2f} to {high:.2f}"
+    what = position.rpartition(" ")[2]
+    how = f"the {what} accelerates {ratio:.2f} times as much as is measured, limits {low:.2f} to {high:.2f}"
     text = _contradict("accelerometer", position, how, "check the length unit and the accelerometer's scale")
     limit = low if ratio <= low else high
     return [Contradiction(("accelerometer", position), "acceleration ratio", ratio, limit, "1", text)]
+
+
+def check_length_bounds(bounds: tuple[float, float] | None, position: str) -> list[Contradiction]:
+    """bounds  of the accelerations that the accelerometer measures over those of a position, None where unknown"""
+    low, high = LENGTH_RATIO
+    if bounds is None or bounds[0] <= 0.0 or (bounds[0] * low < 1.0 and bounds[1] * high > 1.0):
+        return []
+    return check_length_ratio(2.0 / sum(bounds), position)
 
 
 def check_residual(residual: np.ndarray | None, attitude: str | None, position: str) -> list[Contradiction]:

@@ -11,6 +11,7 @@ from quasi.errors import DataError
 from quasi.importing.clocks.clock_fit import uniform
 from quasi.importing.clocks.synchronisation import Motion
 from quasi.importing.series import interpolate_columns
+from quasi.sensor_limits import AXES_ANGLE
 
 COMPARED_RATE, COMPARED_BAND = 100.0, 3.0  # Hz
 LEAST_TURNING = 0.1  # rad/s, rms body rate below which an attitude is not judged
@@ -108,12 +109,19 @@ def exchanged_axes(t: np.ndarray, rates: np.ndarray, t_attitude: np.ndarray, att
     if not pairs:
         return {}
     gyro, own = (np.concatenate([p[k] - p[k].mean(axis=0) for p in pairs]) for k in (0, 1))
-    sizes = np.sqrt(np.outer(np.mean(gyro**2, axis=0), np.mean(own**2, axis=0)))
-    alike = np.abs(gyro.T @ own / len(gyro)) / np.where(sizes > 0, sizes, np.inf)
-    moving = sizes >= LEAST_TURNING**2
-    best = np.argmax(np.where(moving, alike, 0.0), axis=1)
+    return _exchanged(gyro, own, LEAST_TURNING, ("p", "q", "r"))
+
+
+def _exchanged(one: np.ndarray, other: np.ndarray, least: float, names: tuple[str, str, str]) -> dict[str, str]:
+    """{column of `one` (n, 3): that of `other` (n, 3) which goes with it}, where it is another one; without means.
+
+    least  spread below which columns are not judged; correlations as `exchanged_axes` has them
+    """
+    sizes = np.sqrt(np.outer(np.mean(one**2, axis=0), np.mean(other**2, axis=0)))
+    alike = np.abs(one.T @ other / len(one)) / np.where(sizes > 0, sizes, np.inf)
+    best = np.argmax(np.where(sizes >= least**2, alike, 0.0), axis=1)
     return {
-        "pqr"[k]: "pqr"[j]
+        names[k]: names[j]
         for k, j in enumerate(best)
         if j != k and alike[k, j] > LEAST_CORRELATION and alike[k, k] < 0.5 * alike[k, j]
     }
@@ -154,8 +162,10 @@ class ForceComparison(NamedTuple):
     residual    (3,) m/s2, body FRD, that the accelerometer measures beyond what gravity and motion need; median
     gains       {"ax", "ay", "az": bounds of measured over needed specific force}, of the axes that correlate
     vertical    bounds of the measured over the captured vertical acceleration, None where they do not correlate
+    lengths     the same of the whole acceleration
     horizontal  correlation of the horizontal accelerations as they are (after the best turn where headings may differ),
                 and after the best turn or mirror
+    exchanged   {axis of the accelerometer: axis of the needed specific force that goes with it}, where another one
     tilt        rad, of the vertical by the turn or mirror that brings the path's accelerations nearest to the measured
                 ones; None where these do not go together along two directions
     misread     "world" where the accelerometer's values fit the motion as they stand, in the earth's axes; "body" where
@@ -165,7 +175,9 @@ class ForceComparison(NamedTuple):
     residual: np.ndarray
     gains: dict[str, tuple[float, float]]
     vertical: tuple[float, float] | None
+    lengths: tuple[float, float] | None
     horizontal: tuple[float, float]
+    exchanged: dict[str, str]
     tilt: float | None
     misread: str | None
 
@@ -202,17 +214,18 @@ def compare_forces(
     there = interpolate_columns(at, felt.t, felt.values)
     sensed = rotate(q, there) + gravity
     found = {n: _slopes(there[:, k], needed[:, k], LEAST_MOTION) for k, n in enumerate(("ax", "ay", "az"))}
-    one, other = (
-        v[:, 0] + 1j * v[:, 1] for v in (sensed - sensed.mean(axis=0), acceleration - acceleration.mean(axis=0))
-    )
+    both = sensed - sensed.mean(axis=0), acceleration - acceleration.mean(axis=0)
+    one, other = (v[:, 0] + 1j * v[:, 1] for v in both)
     size = float(np.linalg.norm(one) * np.linalg.norm(other)) or 1.0
     turned, mirrored = float(np.abs(np.vdot(other, one))) / size, float(np.abs(np.sum(other * one))) / size
     return ForceComparison(
         np.median(there - needed, axis=0),
         {n: bounds for n, bounds in found.items() if bounds is not None},
         _slopes(sensed[:, 2], acceleration[:, 2], LEAST_MOTION),
+        _slopes(both[0].ravel(), both[1].ravel(), LEAST_MOTION),
         (turned if free_heading else float(np.vdot(other, one).real) / size, max(turned, mirrored)),
-        _tilt(sensed - sensed.mean(axis=0), acceleration - acceleration.mean(axis=0)),
+        _exchanged(there - there.mean(axis=0), needed - needed.mean(axis=0), LEAST_MOTION, ("ax", "ay", "az")),
+        _tilt(*both),
         _misread(acceleration, sensed, {"world": there + gravity, "body": rotate(q, sensed - gravity) + gravity}),
     )
 
@@ -347,16 +360,24 @@ def doubtful_units(rates: np.ndarray, force: np.ndarray) -> list[str]:
     fastest = float(np.nanmax(np.abs(rates), initial=0.0))
     if fastest > np.radians(4500):
         found.append(f"body rates reach {np.degrees(fastest):.0f} deg/s, beyond any gyro; check their unit")
-    felt = np.linalg.norm(force[np.isfinite(force).all(axis=1)], axis=1)
+    force = force[np.isfinite(force).all(axis=1)]
+    felt = np.linalg.norm(force, axis=1)
     typical = float(np.median(felt)) / GRAVITY if len(felt) else 1.0
     if not 0.2 < typical < 5.0:
         found.append(f"the specific force is typically {typical:.3g} g, where a flight feels about 1; check its unit")
-    elif (
-        len(felt) and np.nanquantile(force[:, 2], 0.1) > 0.5 * typical * GRAVITY
-    ):  # not only where it lies after a crash
+    elif len(felt) and np.quantile(force[:, 2], 0.1) > 0.5 * typical * GRAVITY:  # not only where it lies after a crash
         found.append(
             "the specific force points down as it does upside down, where at rest and in flight it points up with 1 g; "
             "check its sign and the body axes"
+        )
+    elif len(felt) and np.quantile(force[:, 2] + np.cos(AXES_ANGLE) * felt, 0.1) > 0.0:
+        typically = np.median(force, axis=0)
+        k = int(np.argmax(np.abs(typically[:2])))
+        side = (("back", "front"), ("left", "right"))[k][int(typically[k] > 0.0)]
+        angle = np.degrees(np.arctan2(np.hypot(*typically[:2]), -typically[2]))
+        found.append(
+            f"the specific force typically points {angle:.0f} deg away from up, to the {side}, where at rest and in "
+            "flight it points up; check the body axes"
         )
     return found
 

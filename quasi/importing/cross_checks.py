@@ -14,6 +14,7 @@ from quasi.sensor_limits import (
     Contradiction,
     check_axis_order,
     check_directions,
+    check_length_bounds,
     check_length_ratio,
     check_rate_gains,
     check_residual,
@@ -44,7 +45,8 @@ def cross_check(board: Onboard, capture: Series | None, sync: Synchronisation | 
         for path, track in paths.items():
             if track is not None:
                 derivatives = 2 if path == ONBOARD_POSITION else 1
-                found += _check_path(motion, track.t, track.values, attitudes, path, derivatives)
+                measured = "accelerometer" not in board.made  # one that was made cannot judge its source
+                found += _check_path(motion, track.t, track.values, attitudes, path, derivatives, measured)
         return found
     position = capture.matrix(POSITION_COLUMNS)
     wrong = _check_path(motion, there, position, attitudes, CAPTURED_POSITION)
@@ -59,14 +61,17 @@ def cross_check(board: Onboard, capture: Series | None, sync: Synchronisation | 
 
 def _check_path(
     motion: Motion, t: np.ndarray, values: np.ndarray, attitudes: Mapping[str, tuple[np.ndarray, np.ndarray]],
-    path: str, derivatives: int = 2,
+    path: str, derivatives: int = 2, sized: bool = False,
 ) -> list[Contradiction]:  # fmt: skip
-    """Accelerometer against each attitude and a path: a position or velocity (n, 3), named by `path`."""
+    """Accelerometer against each attitude and a path: a position or velocity (n, 3), named by `path`.
+
+    sized  whether the size of its accelerations is compared as well
+    """
     found = []
     if not attitudes:  # levelled by the accelerometer: only the vertical says something
         forces = compare_forces(motion, t, values, motion.t, motion.quaternion, True, derivatives)
         if forces is not None:
-            vertical = forces._replace(gains={}, horizontal=(1.0, 0.0), tilt=None, misread=None)
+            vertical = forces._replace(gains={}, horizontal=(1.0, 0.0), exchanged={}, tilt=None, misread=None)
             found = check_residual(forces.residual, None, path) or check_directions(vertical, "", path)
     for name, (q_t, attitude) in attitudes.items():
         # a capture's heading is aligned later; on board, attitude and path have to share their axes
@@ -74,4 +79,6 @@ def _check_path(
         forces = compare_forces(motion, t, values, q_t, attitude, free, derivatives)
         if forces is not None:
             found += check_residual(forces.residual, name, path) or check_directions(forces, name, path)
+            if sized and not found:
+                found += check_length_bounds(forces.lengths, path)
     return found

@@ -23,10 +23,15 @@ def typical_size(error: np.ndarray) -> float:
 def derivative_error(signal: Track, rate: float, bandwidth: float, order: int) -> float:
     """Standard error of a derivative of a signal whose noise is white, low-passed at `bandwidth`.
 
-    The noise is what lies above the bandwidth. order  of the derivative; rate  Hz of the samples
+    The noise is what lies above the bandwidth. Where the samples hold nothing above it, the noise is that of the upper
+    half of their band, and motion there counts as noise. order  of the derivative; rate  Hz of the samples
     """
-    rest = signal.values - low_pass(signal.values, rate, bandwidth)
-    share = max(1.0 - 2.0 * bandwidth / rate, 0.1)  # of white noise that lies above the bandwidth
+    edge, bandwidth = bandwidth, min(bandwidth, 0.5 * rate)
+    rest = signal.values - low_pass(signal.values, rate, edge)
+    if not rest.any():
+        edge = 0.25 * rate
+        rest = signal.values - low_pass(signal.values, rate, edge)
+    share = max(1.0 - 2.0 * edge / rate, 0.1)  # of white noise that lies above the edge
     density = 2.0 * (typical_size(rest) / ONE_SIGMA) ** 2 / share / rate
     power = density * (2.0 * np.pi) ** (2 * order) * bandwidth ** (2 * order + 1) / (2 * order + 1)
     return float(np.sqrt(power))

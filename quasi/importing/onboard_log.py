@@ -103,6 +103,18 @@ def _find(series: Mapping[str, Series], names: tuple[str, ...]) -> Track | None:
     return None
 
 
+def _find_measured(series: Mapping[str, Series], names: tuple[str, ...], where: str, notes: list[str]) -> Track | None:
+    """As `_find`, None where fewer than LEAST_SAMPLES rows are known: a damaged record is no path."""
+    track = _find(series, names)
+    known = 0 if track is None else np.count_nonzero(np.isfinite(track.values).all(axis=1))
+    if track is None or known >= LEAST_SAMPLES:
+        return track
+    notes.append(
+        f"{where}: {', '.join(names)} on board have {known} samples, at least {LEAST_SAMPLES} are needed; left out"
+    )
+    return None
+
+
 def require_motion(
     recording: Recording,
     where: str,
@@ -170,7 +182,9 @@ def gather(
                 f"{where}: the on-board attitude turns unlike the gyro (it explains {100 * max(0.0, explained):.0f} % "
                 "of the body rates); check the unit, order and axes of both",
             )
-    position, velocity = _find(series, POSITION_COLUMNS), _find(series, VELOCITY_COLUMNS)
+    position, velocity, body_velocity = (
+        _find_measured(series, names, where, notes) for names in (POSITION_COLUMNS, VELOCITY_COLUMNS, BODY_VELOCITY)
+    )
     if position is not None and velocity is not None:
         explained = velocity_explained(velocity.t, velocity.values, position.t, position.values)
         if explained is not None and explained < LEAST_LOG_EXPLAINED:
@@ -206,7 +220,7 @@ def gather(
         rest_seconds=rest,
         position=moved(position),
         velocity=moved(velocity),
-        body_velocity=moved(_find(series, BODY_VELOCITY)),
+        body_velocity=moved(body_velocity),
         others=others,
         rotors=rotors,
         delays=delays,

@@ -167,7 +167,7 @@ def _acceleration(series: Mapping[str, Series], bandwidth: float) -> tuple[Track
     rate = 1.0 / float(np.median(np.diff(at.t)))
     if linear is not None:
         values = low_pass(linear.values, rate, bandwidth)
-        error = typical_size(linear.values - values)
+        error = typical_size(linear.values - values) or derivative_error(linear, rate, bandwidth, 0)
         if speed is not None:
             slow = min(CROSSOVER, 0.5 * bandwidth)
             change, trusted = velocity(speed.t, speed.values, linear.t, slow)

@@ -3,6 +3,7 @@
 from collections.abc import Mapping
 from typing import Any
 
+import numpy as np
 import pandas as pd
 
 from quasi.airframe import DEFAULT_POLES
@@ -10,7 +11,7 @@ from quasi.errors import cautions
 from quasi.importing import limits
 from quasi.importing.contradictions import doubtful_units
 from quasi.importing.onboard_log import Onboard
-from quasi.importing.resampling import covered
+from quasi.importing.resampling import LONGEST_BRIDGE, covered
 from quasi.sensor_limits import find_missing_sources, list_reasons
 
 
@@ -36,12 +37,18 @@ def verdict(frame: pd.DataFrame, board: Onboard, metadata: Mapping[str, Any]) ->
         care.append(f"its header states {stated} motor poles, the configuration {poles['value']}")
     if metadata["attitude source"] == "estimated on board":
         care.append("the attitude is estimated from gyro and accelerometer alone")
+    at = frame["t"].to_numpy()
     if metadata["position source"] == "capture":
-        lost = 1 - float(
-            covered(frame["t"].to_numpy()[frame["position_sample"].to_numpy() > 0], frame["t"].to_numpy(), 0.1).mean()
-        )
-        if lost > 0.2:
-            care.append(f"the capture lost the quadrotor for {100 * lost:.0f} % of the flight")
+        lost = 1 - float(covered(at[frame["position_sample"] > 0], at, LONGEST_BRIDGE).mean())
+        whose = "the capture lost the quadrotor"
+    else:
+        tracks = [track for track in (board.position, board.velocity, board.body_velocity) if track is not None]
+        logged = [track.t[np.isfinite(track.values).all(axis=1)] for track in tracks]
+        held = [covered(t, at + metadata["start"]["value"]) for t in logged]
+        lost = 1 - float(np.any(held, axis=0).mean()) if held else 0.0
+        whose = "the on-board log holds neither position nor velocity"
+    if lost > 0.2:
+        care.append(f"{whose} for {100 * lost:.0f} % of the flight")
     sync = metadata["synchronisation"]
     if sync and (sync["lag"]["std"] > 0.005 or min(sync["explained variance"].values()) < 0.5):
         care.append(f"the capture's lag is known to {1e3 * sync['lag']['std']:.1f} ms only")

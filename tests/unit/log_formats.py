@@ -326,7 +326,7 @@ def write_bag(folder, flight, version=2, storage="mcap", drop=(), rename=None, a
         more = list(extra(store, writer)) if extra else []
         for k in range(len(flight.t)):
             put("/imu", k, kinds["sensor_msgs/msg/Imu"](
-                header=header("/imu", k), orientation=quaternion((1, 0, 0, 0)), orientation_covariance=nine,
+                header=header("/imu", k), orientation=quaternion((1, 0, 0, 0)), orientation_covariance=nine - 1.0,
                 angular_velocity=vector(FLIP * flight.rates[k]), angular_velocity_covariance=nine,
                 linear_acceleration=vector(FLIP * flight.force[k]), linear_acceleration_covariance=nine))  # fmt: skip
             if k % 2 == 0:

@@ -36,8 +36,22 @@ def test_a_missing_topic_is_named_with_what_the_log_holds(tmp_path, flight):
     path = write_bag(tmp_path, flight, drop={"/imu", "/odom"})
     with pytest.raises(ReadError) as error:
         read(path, "rosbag")
-    for word in ("body rates", "sensor_msgs/msg/Imu", "/motor_speed", "/battery"):
+    for word in ("body rates", "sensor_msgs/msg/Imu", "/motor_speed (mav_msgs/msg/Actuators)", "/battery"):
         assert word in str(error.value)
+    assert "did you mean" not in str(error.value)  # message types are never mistyped
+
+
+def test_a_bag_without_imu_is_read_where_its_sensors_can_be_made(tmp_path, flight):
+    needs("rosbags")
+    recording = read(write_bag(tmp_path, flight, drop={"/imu"}), "rosbag")
+    assert {"p", "qw", "x"} <= {name for series in recording.series.values() for name in series.values}
+
+
+def test_an_orientation_that_the_imu_does_not_measure_is_no_attitude(tmp_path, flight):
+    needs("rosbags")
+    recording = read(write_bag(tmp_path, flight, drop={"/odom"}), "rosbag")  # its covariance begins with -1
+    found = {name for series in recording.series.values() for name in series.values}
+    assert {"p", "ax"} <= found and "qw" not in found
 
 
 def test_a_mistyped_topic_is_named_with_its_neighbour(tmp_path, flight):

@@ -274,10 +274,10 @@ def test_a_run_of_nan_in_a_table_is_a_lost_span(tmp_path):
 def test_time_of_a_table_that_steps_back_or_does_not_run(tmp_path):
     def back(frame):
         frame.loc[1000:1020, "t"] -= 3.0
-        return frame
+        return frame.assign(t=frame["t"] + 1.7e9)  # since 1970
 
     _, about = table(tmp_path, back)
-    assert any("step back" in n for n in about["notes"])
+    assert any("step back (first in row 1002, by 2.995 s)" in n for n in about["notes"])
     for spoilt, words in ((lambda f: f.assign(t=0.0), "samples of its own"), (lambda f: f.assign(t="x"), "holds text")):
         with pytest.raises(QuasiError, match=words):
             table(tmp_path, spoilt)
@@ -300,6 +300,9 @@ def test_units_that_contradict_the_numbers_of_a_table_are_noted(tmp_path):
     assert any("beyond any gyro" in n for n in about["notes"])
     _, about = table(tmp_path, lambda f: f.assign(az=-f["az"]))
     assert any("points down as it does upside down" in n and "check its sign" in n for n in about["notes"])
+    assert about["verdict"] == "unusable"
+    _, about = table(tmp_path, lambda f: f.assign(ax=-f["az"], az=f["ax"], p=-f["r"], r=f["p"]))  # mounted nose up
+    assert any("90 deg away from up, to the front" in n and "check the body axes" in n for n in about["notes"])
     assert about["verdict"] == "unusable"
     half = lambda f: f.assign(az=np.where(np.arange(len(f)) > 0.4 * len(f), -f["az"], f["az"]))  # noqa: E731
     assert not any("points down" in n for n in table(tmp_path, half)[1]["notes"])  # it landed on its back

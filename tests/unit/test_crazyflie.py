@@ -119,8 +119,19 @@ def test_an_unknown_id_ends_what_is_read_and_is_named(tmp_path):
     at = len(data) - 4 - 10 * size
     (tmp_path / "log").write_bytes(data[:at] + struct.pack("<H", 4711) + data[at + 2 :])
     recording = read_crazyflie(tmp_path / "log")
-    assert len(recording.series["onboard"].t) == N - 10
+    assert len(recording.series["onboard"].t) == N - 11
     assert any("4711" in note and str(at) in note for note in cautions(recording.notes))
+
+
+def test_the_record_in_which_bytes_are_missing_is_left_out(tmp_path):
+    data = write(tmp_path / "log")
+    whole = read_crazyflie(tmp_path / "log").series["onboard"]
+    at = len(data) - 4 - 10 * (10 + 15 * 4 + 5 * 2)
+    (tmp_path / "log").write_bytes(data[: at + 20] + data[at + 57 :])
+    cut = read_crazyflie(tmp_path / "log").series["onboard"]
+    assert len(cut.t) == N - 10
+    for name, values in cut.values.items():
+        np.testing.assert_array_equal(values, whole.values[name][: N - 10])
 
 
 @pytest.mark.parametrize(

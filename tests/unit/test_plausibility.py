@@ -128,6 +128,36 @@ def test_what_is_planted_in_a_made_flight_is_named(table, monkeypatch, plant):
         assert about["synchronisation"]["lag"]["value"] == pytest.approx(-0.06, abs=2e-3)
 
 
+@pytest.mark.parametrize("unseen", [slice(2000, None), slice(1400, 1450)])
+def test_captured_frames_of_zeros_were_not_seen(table, tmp_path, unseen):
+    path, config = table
+    columns = pd.read_csv(path)
+    asked = {"flight": "made", "quadrotor": "made", "flight controller": "table", "capture": None, "onboard": str(path)}
+    whole, _ = importing.import_flight(asked, config, {"resampling rate": 100.0})
+    columns.loc[columns.index[unseen], [*Q, *PLACE]] = 0.0
+    columns.to_csv(tmp_path / "log.csv", index=False)
+    frame, about = importing.import_flight(asked | {"onboard": str(tmp_path / "log.csv")}, config, {})
+    assert about["contradictions"] == []
+    seen = frame["velocity_sample"] > 0
+    for name in ("u", "v", "w"):
+        np.testing.assert_allclose(frame[name][seen], np.interp(frame["t"], whole["t"], whole[name])[seen], atol=0.1)
+
+
+@pytest.mark.parametrize(("known", "words"), [(1, "neither position nor velocity"), (500, "for 83 % of the flight")])
+def test_a_flight_is_not_good_whose_logged_position_is_hardly_there(table, tmp_path, known, words):
+    path, config = table
+    columns = pd.read_csv(path)
+    columns.loc[columns.index[known:], list(PLACE)] = np.nan
+    columns.to_csv(tmp_path / "log.csv", index=False)
+    imu, room = config["table columns"]["sources"]
+    plan = {"time": "t", "sources": [imu, {"name": "estimate", "columns": room["columns"]}]}
+    asked = {"flight": "made", "quadrotor": "made", "flight controller": "table", "capture": None,
+             "onboard": str(tmp_path / "log.csv")}  # fmt: skip
+    _, about = importing.import_flight(asked, {"table columns": plan}, {"resampling rate": 100.0})
+    assert about["verdict"] == ("unusable" if known == 1 else "usable with care")
+    assert words in about["verdict because"]
+
+
 VELOCITY, ROTORS = ("vx", "vy", "vz"), ("w1", "w2", "w3", "w4")
 # of flights whose attitude, position and velocity were logged on board
 ONBOARD_PLANTS = {
@@ -136,7 +166,10 @@ ONBOARD_PLANTS = {
     "position turned by half": (lambda v: v | {"x": -v["x"], "y": -v["y"]}, "on-board position"),
     "y up taken for z up": (lambda v: v | {"y": v["z"], "z": -v["y"]}, "on-board position"),
     "velocity mirrored": (lambda v: v | {"vx": v["vy"], "vy": v["vx"]}, "on-board velocity"),
+    "velocity in feet": (lambda v: v | {n: v[n] / 0.3048 for n in VELOCITY}, "on-board velocity"),
+    "position halved": (lambda v: v | {n: 0.5 * v[n] for n in PLACE}, "on-board position"),
     "vertical velocity reversed": (lambda v: v | {"vz": -v["vz"]}, "on-board velocity"),
+    "x and y of the accelerometer": (lambda v: v | {"ax": v["ay"], "ay": v["ax"]}, "on-board attitude"),
     "accelerometer in the earth's axes": (lambda v: v | turned(v, rotate), "on-board attitude"),
     "accelerometer turned once too often": (lambda v: v | turned(v, rotate_inverse), "on-board attitude"),
     "nothing": (lambda v: v, None),

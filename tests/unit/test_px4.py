@@ -39,6 +39,17 @@ def written(folder, flight, formats, add, names=ULOG_FORMATS, parameters=None):
     return path
 
 
+def test_a_position_with_a_damaged_flag_is_not_known(tmp_path, flight):
+    topic = "vehicle_local_position"
+
+    def add(log, k, t):
+        log.data(topic, "QQ6f4B", t + 900, t, *flight.p[k], *flight.v[k], 38 if k == 500 else 1, 1, 1, 1)
+
+    path = written(tmp_path, flight, {topic: ULOG_FORMATS[topic]}, add, [n for n in ULOG_FORMATS if n != topic])
+    position = read(path).series["onboard position, velocity (vehicle_local_position)"].matrix(("x", "y", "z"))
+    assert list(np.flatnonzero(np.isnan(position).any(axis=1))) == [500]
+
+
 @pytest.mark.parametrize("version", POSES)
 @pytest.mark.parametrize("topic", ["vehicle_mocap_odometry", "vehicle_visual_odometry"])
 def test_a_pose_from_outside_is_the_capture(tmp_path, flight, version, topic):

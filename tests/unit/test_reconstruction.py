@@ -131,11 +131,16 @@ def test_what_cannot_be_made_is_refused_by_name(groups, lacking):
 
 
 def test_the_error_of_a_derivative_is_that_of_white_noise():
-    rng, rate = np.random.default_rng(2), 200.0
-    noise = rng.normal(0, 0.01, (20000, 3))
-    t = np.arange(len(noise)) / rate
+    noise = np.random.default_rng(2).normal(0, 0.01, (20000, 3))
+    t = np.arange(len(noise)) / 200.0
     found, _ = velocity(t, noise, t, 10.0)
-    assert derivative_error(Track(t, noise), rate, 10.0, 1) == pytest.approx(found.std(), rel=0.2)
+    assert derivative_error(Track(t, noise), 200.0, 10.0, 1) == pytest.approx(found.std(), rel=0.2)
+
+
+def test_the_error_of_a_derivative_of_slow_samples_is_not_zero():
+    noise = np.random.default_rng(2).normal(0, 0.01, (20000, 3))
+    found = np.gradient(noise, 0.05, axis=0).std()  # at 20 Hz nothing lies above 10 Hz
+    assert found < derivative_error(Track(0.05 * np.arange(20000), noise), 20.0, 10.0, 1) < 3.0 * found
 
 
 def test_single_angles_need_axes_that_turn_alike():

@@ -1,5 +1,7 @@
 """Lag and clock rate against known ones, their standard errors, and what is refused."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from made_motion import at_times, body
@@ -146,8 +148,27 @@ def test_a_still_capture_is_refused():
 def test_records_of_different_flights_are_refused(seed, turned):
     onboard, _ = sides(seed, 0.0, 0.0)
     _, capture = sides(seed + 30, 0.0, 0.0, seconds=25.0, turned=turned)
-    with pytest.raises(DataError, match="nowhere like|match alike"):
+    with pytest.raises(DataError, match="nowhere like|match alike") as caught:
         synchronise(onboard, capture, BOTH, 25.0, "flight")
+    assert "go together" not in str(caught.value)
+
+
+def test_another_unit_or_other_axes_are_named():
+    onboard, capture = sides(3, 0.2, 0.0, turned=False)
+    in_g = replace(onboard, specific_force=onboard.specific_force / 9.80665)
+    with pytest.raises(DataError, match=r"go together \(9. % explained\) if earth acceleration .* times as large"):
+        synchronise(in_g, capture, BOTH, 5.0, "flight")
+    onboard, capture = sides(3, 0.2, 0.0)
+    yawed = replace(onboard, rates=onboard.rates @ np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]))
+    with pytest.raises(DataError, match=r"turned by (8|9). deg: check units and axes"):
+        synchronise(yawed, capture, BOTH, 5.0, "flight")
+
+
+def test_attitudes_that_turn_against_each_other_are_not_short():
+    onboard, capture = sides(3, 0.0, 0.0)
+    mirrored = replace(capture, quaternion=capture.quaternion * np.array([1.0, -1.0, -1.0, -1.0]))
+    with pytest.raises(DataError, match="correlate at no lag within 0.1 s"):
+        synchronise(onboard, mirrored, BOTH, 0.1, "flight", same_clock=True)
 
 
 def test_unknown_signal_is_named():

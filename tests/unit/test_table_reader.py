@@ -254,6 +254,8 @@ def test_commas_that_may_stand_between_thousands_are_refused(tmp_path):
         ("t;w1\n0,05;1.200,5\n0,1;1.201,5\n", r"column 'w1' holds 1.200,5, whose thousands are separated"),
         ('t,w1\n0.05,"1,200"\n0.1,"1,201"\n', r"commas of column 'w1' \(such as 1,200\) may be decimal commas or"),
         ("t,m;w1,m;x\n0;1;2\n", r"holds as many commas as semicolons, expected one of them between columns; rename"),
+        ("t w1\n0 1\n1 2\n", r"blanks separate its columns \('t w1'\), expected commas, semicolons or tabs; export it"),
+        ("0.5,1\n1,2\n", r"its first line holds numbers \('0.5,1'\), expected the names of its columns; write them"),
         ("t;w1\n1,23E+09;1\n1,23E+09;2\n1,24E+09;3\n", r"'t' have lost their digits in 3 of 3 rows \(such as 1.23E"),
         ("t,w1\n1.23E+09,1\n1.23E+09,2\n1.24E+09,3\n", r"'t' have lost their digits in 3 of 3 rows \(such as 1.23E"),
     ],
@@ -264,6 +266,11 @@ def test_ambiguous_marks_and_shortened_clocks_are_refused(tmp_path, text, words)
     with pytest.raises(ReadError, match=words) as error:
         open_table(path, [], clocks=["t"])
     assert str(path) in str(error.value) and "\n" not in str(error.value) and ";" in str(error.value)
+
+
+def test_an_array_that_pandas_wrote_has_counted_names(tmp_path):
+    (tmp_path / "log.csv").write_text("0,1\n0.0,5\n0.1,6\n")
+    assert list(open_table(tmp_path / "log.csv", [])) == ["0", "1"]
 
 
 def test_marks_of_columns_that_nobody_maps_disturb_nothing(tmp_path):

@@ -24,6 +24,9 @@ COARSE_RATE = 50.0  # Hz
 LARGEST_CLOCK_RATE = 0.005  # s/s; crystals of data sheets err by 1e-4, ours ran apart by 3e-5
 LARGEST_TURN = 0.5  # of the mix from what it must be, weighted by how much each axis moves
 
+# share of the variance that a fit of one motion explains, by whether the capture holds an attitude
+LEAST_FIT_EXPLAINED = {True: 0.3, False: 0.4}
+
 
 @dataclass(frozen=True)
 class Motion:
@@ -109,20 +112,27 @@ def synchronise(
     beyond = _describe_match_beyond(lags, height, centre, longest_lag)
     height[np.abs(lags - centre) > longest_lag] = np.nan
     found = peaks(lags, height, apart=0.4)
+    if not found and np.isfinite(height).any():
+        raise DataError(
+            f"{where}: capture and on-board log correlate at no lag within {longest_lag:g} s; {beyond}check that both "
+            "files are of the same flight, and the signs, units and axes of both"
+        )
     if not found:
         raise DataError(
             f"{where}: capture and on-board log do not overlap by {least:.1f} s at any lag within {longest_lag:g} s; "
             "check that both files are of the same flight, or raise 'max permitted lag for optitrack'"
         )
     good = [(lag, r) for lag, r in found if r >= 0.75 * found[0][1]]
-    fits = [(r, f) for lag, r in good if (f := _refine(pairs, coarse, lag, same_clock)) is not None]
+    refined = [(r, f) for lag, r in good if (f := _refine(pairs, coarse, lag, same_clock)) is not None]
     spread = pairs[0].first.values[pairs[0].first.good].std(axis=0)
-    fits = [(r, f) for r, f in fits if _plausible(f, spread, capture.quaternion is not None)]
+    turned = capture.quaternion is not None
+    fits = [(r, f) for r, f in refined if _plausible(f, spread, turned)]
     if not fits:
+        scaled = _describe_mix([f for _, f in refined], pairs[0].name, spread, turned)
         raise DataError(
             f"{where}: the capture's motion is nowhere like the on-board log's (best correlation {found[0][1]:.2f} at "
-            f"{found[0][0]:+.2f} s); {beyond}check that both files are of the same flight and the rigid body is the "
-            "right one"
+            f"{found[0][0]:+.2f} s); {beyond or scaled}check that both files are of the same flight and the rigid body "
+            "is the right one"
         )
     fits.sort(key=lambda item: -item[1].explained)
     r, best = fits[0]
@@ -173,7 +183,24 @@ def _plausible(clock: ClockFit, spread: np.ndarray, turned: bool) -> bool:
         yaw = np.arctan2(m[1, 0] - m[0, 1], m[0, 0] + m[1, 1])
         expected = np.array([[np.cos(yaw), -np.sin(yaw), 0.0], [np.sin(yaw), np.cos(yaw), 0.0], [0.0, 0.0, 1.0]])
     away = np.abs(clock.mix - expected) * spread
-    return np.max(away) < LARGEST_TURN * np.max(spread) and clock.explained > (0.3 if turned else 0.4)
+    return np.max(away) < LARGEST_TURN * np.max(spread) and clock.explained > LEAST_FIT_EXPLAINED[turned]
+
+
+def _describe_mix(clocks: Sequence[ClockFit], signals: str, spread: np.ndarray, turned: bool) -> str:
+    """How the log's signals have to be scaled and turned to go with the capture, where they then do; else ""."""
+    best = max(clocks, key=lambda clock: clock.explained, default=None)
+    if best is None or best.explained <= LEAST_FIT_EXPLAINED[turned]:
+        return ""
+    u, _, vt = np.linalg.svd(best.mix * spread)
+    size = np.linalg.norm(best.mix * spread) / np.linalg.norm(spread)
+    away = np.abs(best.mix / size - u @ vt) * spread
+    if np.max(away) >= LARGEST_TURN * np.max(spread):  # no turn: records of different flights
+        return ""
+    angle = np.degrees(np.arccos(np.clip((np.trace(u @ vt) - 1.0) / 2.0, -1.0, 1.0)))
+    return (
+        f"they would go together ({100 * best.explained:.0f} % explained) if {signals} of the log were {size:.2g} "
+        f"times as large and turned by {angle:.0f} deg: check units and axes of both, or "
+    )
 
 
 def _refuse_still(onboard: Motion, capture: Motion, where: str) -> None:

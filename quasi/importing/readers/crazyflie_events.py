@@ -87,17 +87,23 @@ def decode_events(data: bytes, path: str | Path) -> EventLog:
 
 
 def _split_records(data: bytes, at: int, end: int, types: dict[int, EventType]) -> tuple[int, int | None]:
-    """Hand the records from byte `at` to their types; return the byte where it ended and an unknown id met there."""
+    """Hand the records from byte `at` to their types; return the byte where it ended and an unknown id met there.
+
+    The damage that an unknown id shows may begin within the record before it, which is left out.
+    """
+    last: EventType | None = None
     while at + 2 <= end:
         number = int.from_bytes(data[at : at + 2], "little")
         event = types.get(number)
         if event is None:
+            if last is not None:
+                last.chunks.pop()
             return at, number
         size = event.record.itemsize
         if at + 2 + size > end:
             break
         event.chunks.append(data[at + 2 : at + 2 + size])
-        at += 2 + size
+        last, at = event, at + 2 + size
     return at, None
 
 
@@ -115,7 +121,7 @@ def _with_ending(
     if unknown is not None:
         ending.append(
             f"{path}: the event id {unknown} at byte {at} is in no header line, so that the last {left} of {len(data)} "
-            "bytes could not be read; copy the file again"
+            "bytes could not be read, and the record before them is left out; copy the file again"
         )
     elif left > 0 or not is_whole:
         ending.append(

@@ -30,7 +30,8 @@ ROLE_COLUMNS = {
     "battery": ("battery_voltage", "battery_current"),
     "capture": (),
 }
-NEEDED_ROLES = ("body rates", "specific force")
+# what each needed role can be made from where a log holds something else as well (see `reconstruction`)
+NEEDED_ROLES = {"body rates": ("attitude", "capture"), "specific force": ("position", "velocity", "capture")}
 
 
 @dataclass(frozen=True)
@@ -118,7 +119,10 @@ def plan_known(
                 f"{role}{nearest(name, others)}; correct it"
             )
         found[role] = able
-    for role in NEEDED_ROLES:
+    several = sum(map(bool, found.values())) > 1
+    for role, others in NEEDED_ROLES.items():
+        if several and role not in found and any(found.get(other) for other in others):
+            continue
         if not found.get(role) or topics[found[role][0][0]].samples < LEAST_SAMPLES:
             raise ReadError(_missing_role(path, role, topics, known, found.get(role, [])))
     sources: list[dict[str, Any]] = []
@@ -200,9 +204,11 @@ def _missing_role(
         )
     ways = [way for way in known if way.role == role]
     wanted = list(dict.fromkeys(re.sub(r"\\|\(.*?\)\?|\[.*?\]\?", "", way.match) for way in ways))
-    names = [topic.kind if ways and ways[0].by_kind else name for name, topic in topics.items()]
-    listed = ", ".join(sorted(topics)[:12]) + (", ..." if len(topics) > 12 else "")
+    by_kind = bool(ways) and ways[0].by_kind
+    names = sorted(f"{name} ({topic.kind})" if by_kind else name for name, topic in topics.items())
+    near = "" if by_kind else nearest(wanted[0], names)
+    listed = ", ".join(names[:12]) + (", ..." if len(names) > 12 else "")
     return (
-        f"{path} holds no {role}: none of {', '.join(wanted)}{nearest(wanted[0], names) if names else ''}. Its topics "
+        f"{path} holds no {role}: none of {', '.join(wanted)}{near}. Its topics "
         f"are {listed or 'none'}; log one of them, or map columns by 'table columns' in the quadrotor configuration"
     )

@@ -215,7 +215,7 @@ class MappedSource:
             row = int(np.argmax(back))
             notes.append(
                 f"{path}: {np.count_nonzero(back)} stamps of source '{self.source.name}' step back "
-                f"(first in row {row + 2}, {clock[row]:.6g} s after {before[row]:.6g} s); these rows were left out"
+                f"(first in row {row + 2}, by {before[row] - clock[row]:.4g} s); these rows were left out"
             )
         held = np.zeros(len(clock), bool)
         if self.values and ((self.stamps is None and not self.stamped_by_log) or self.source.capture):
@@ -334,7 +334,11 @@ class MappedSource:
         if "qw" in self.values:
             q = self.matrix(QUATERNION)
             length = np.linalg.norm(q, axis=-1, keepdims=True)
-            q = np.where(length > 0.5, q / np.where(length > 0.5, length, 1.0), np.nan)
+            turned = length > 0.5
+            q = np.where(turned, q / np.where(turned, length, 1.0), np.nan)
+            if self.source.capture and turned.any():  # a frame of zeros was not seen
+                for name in set(VECTOR_COLUMNS["position"]) & set(self.values):
+                    self.values[name] = np.where(length[:, 0] == 0.0, np.nan, self.values[name])
         elif all(n in self.values for n in EULER_ANGLES):
             q = from_euler(*[self.values.pop(n) for n in EULER_ANGLES])
         else:

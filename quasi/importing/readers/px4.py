@@ -187,7 +187,7 @@ def _groups(name: str, data: Mapping[str, np.ndarray], parameters: Mapping[str, 
     if name == "vehicle_local_position":
         for valid, members in _VALID.items():
             if valid in data:
-                fields |= {m: np.where(data[valid] > 0, data[m], np.nan) for m in members if m in data}
+                fields |= {m: np.where(data[valid] == 1, data[m], np.nan) for m in members if m in data}
     sampled = data.get("timestamp_sample")
     # commands take effect when they are published; measurements hold for when they were sampled
     if sampled is not None and not name.startswith("actuator") and np.all(sampled > 0):

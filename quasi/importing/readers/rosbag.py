@@ -150,6 +150,7 @@ class Bag:
                 for _, _, message in islice(self._decoded(reader, own), FIRST_MESSAGES if samples else 0):
                     decoded, empty = True, []
                     getters |= _getters(reader.typestore.fielddefs, own[0].msgtype, message, empty)
+                    getters = {c: g for c, g in getters.items() if not c.startswith(_unmeasured(message))}
                     if not empty:
                         break
                 if samples and not decoded:
@@ -268,6 +269,13 @@ def _remedy(path: Path, reason: str) -> str:
         return "give it the extension .bag, .mcap or .db3"
     repair = {".bag": "`rosbag reindex`", ".mcap": "`mcap recover`"}.get(path.suffix, "`ros2 bag reindex`")
     return f"if the recording was cut off, {repair} may save what is in it; else copy it again"
+
+
+def _unmeasured(message: Any) -> tuple[str, ...]:
+    """Beginnings of columns that an Imu does not measure: -1 comes first in their covariance (definition of
+    sensor_msgs/Imu)."""
+    fields = ("orientation", "angular_velocity", "linear_acceleration")
+    return tuple(f"{field}." for field in fields if list(getattr(message, f"{field}_covariance", ()))[:1] == [-1.0])
 
 
 def _getters(

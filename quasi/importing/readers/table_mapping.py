@@ -135,9 +135,9 @@ def read_mapping(section: Any, poles: int | None, where: str, log_has_clock: boo
     turning = any((name, False) in seen for name in ("p", "qw", *EULER_ANGLES))
     if not turning and not ({("qw", True), ("x", True)} <= set(seen) and len(sources) > 1):
         raise ConfigError(
-            f"{where}: no source maps body rates (p, q, r) or an attitude (qw, qx, qy, qz or roll, pitch, yaw), and no "
-            "motion capture of this table maps position and attitude; map one of them: nothing else ties a capture in "
-            "another file to the log"
+            f"{where}: no source maps body rates (p, q, r) or an attitude (qw, qx, qy, qz or roll, pitch, yaw); map "
+            "one of them, or rotor speeds or commands next to a motion capture of position and attitude: nothing else "
+            "ties a capture in another file to the log"
         )
     return TableMapping(clock, sources)
 

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from quasi.errors import ReadError
+from quasi.errors import ReadError, quoted
 from quasi.project.recognition import refuse_other_formats
 from quasi.tables import read_table, read_table_text, read_unpacked
 
@@ -63,6 +63,23 @@ def separator_of(head: str, path: Path | str) -> str:
     return first
 
 
+def refuse_nameless(text: str, separator: str, path: Path | str) -> None:
+    """Raise ReadError where blanks separate the columns of a table, or where its first line holds no names."""
+    head, _, below = text.partition("\n")
+    words, numbers = head.replace(separator, " ").split(), below.partition("\n")[0].split()
+    if separator not in head and len(words) == len(numbers) > 1 and all(map(_NUMBER.fullmatch, numbers)):
+        raise ReadError(
+            f"{path}: blanks separate its columns ({quoted(head, 60)}), expected commas, semicolons or tabs; export it "
+            "anew, with names in the first line"
+        )
+    counted = words == [str(k) for k in range(len(words))]  # as pandas names the columns of an array
+    if words and not counted and all(map(_NUMBER.fullmatch, words)):
+        raise ReadError(
+            f"{path}: its first line holds numbers ({quoted(head, 60)}), expected the names of its columns; write them "
+            "in a line above"
+        )
+
+
 def open_table(
     path: Path, notes: list[str], use: Collection[str] | None = None, clocks: Collection[str] = ()
 ) -> pd.DataFrame:
@@ -79,6 +96,7 @@ def open_table(
         return split_lists(read_table(path), use)
     text, skipped = from_header(read_table_text(path))
     separator = separator_of(text.partition("\n")[0], path)
+    refuse_nameless(text, separator, path)
     # cells as written, where a comma may be a decimal mark and a point stand between thousands
     written = separator != "," or '"' in text
     try:
