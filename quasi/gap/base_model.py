@@ -5,12 +5,14 @@ from typing import NamedTuple
 
 import numpy as np
 
+from quasi.attitude import GRAVITY
 from quasi.filtering.forces import half_length
 from quasi.gap.flights.evidence import Evidence
 from quasi.gap.statistics.whitening import stretches
 from quasi.model.model import AXES, Model
 
 NEAR_NOTHING = 0.1  # share of the variance: a model must explain it for an axis to count, unless errors remember less
+ROUNDING = 1e-9  # of the weight: a force that follows from an attitude made of it is no more than rounding
 MEMORY_S = 1.0  # s: what errors of a model that come from flight, and not from instruments, repeat within
 
 
@@ -47,27 +49,27 @@ def explained_share(flights: Sequence[Evidence]) -> np.ndarray:
 def remembered_share(flights: Sequence[Evidence]) -> np.ndarray:
     """Share (6,) of the variance of what a model leaves that comes back within MEMORY_S; noise of instruments does not.
 
-    The largest autocorrelation beyond what the low-pass of forces and moments mixes; 1 where that is unknown.
+    The largest autocorrelation beyond what the low-pass of forces and moments mixes. 1 where that is unknown or more
+    than a quarter of MEMORY_S, and on an axis that measures nothing.
     """
-    every = []
-    for flight in flights:
-        cutoff, rate = (
-            (flight.metadata.get("filters") or {}).get("low-pass cutoff Hz"),
-            1.0 / np.median(np.diff(flight.t)),
-        )
-        every.append(2 * half_length(cutoff, rate) + 1 if cutoff else round(MEMORY_S * rate))
-    if not every:
+    cutoffs = [(f.metadata.get("filters") or {}).get("low-pass cutoff Hz") for f in flights]
+    if not flights or None in cutoffs:
         return np.ones(6)
-    lags = np.arange(max(every), round(MEMORY_S * rate))
-    products, variance = np.zeros((len(lags), 6)), np.zeros(6)
+    rate = 1.0 / np.median(np.diff(flights[0].t))
+    mixed, memory = 2 * half_length(min(cutoffs), rate) + 1, round(MEMORY_S * rate)
+    if 4 * mixed > memory:
+        return np.ones(6)
+    products, variance = np.zeros((memory - mixed, 6)), np.zeros(6)
     for flight in flights:
         left = flight.residual - flight.residual.mean(axis=0)
         variance += np.sum(left**2, axis=0)
         for part in stretches(flight.breaks):
             x = left[part]
-            for k, lag in enumerate(lags):
-                products[k] += np.sum(x[lag:] * x[: max(len(x) - lag, 0)], axis=0)
-    return np.max(np.abs(products), axis=0) / np.maximum(variance, 1e-300) if len(lags) else np.ones(6)
+            for lag in range(mixed, memory):
+                products[lag - mixed] += np.sum(x[lag:] * x[: max(len(x) - lag, 0)], axis=0)
+    rows, weight = sum(map(len, flights)), flights[0].mass * GRAVITY
+    measures = variance > rows * (ROUNDING * weight * np.repeat([1.0, flights[0].airframe.arm], 3)) ** 2
+    return np.where(measures, np.max(np.abs(products), axis=0) / np.maximum(variance, 1e-300), 1.0)
 
 
 def worth_of(model: Model, reference: Sequence[Evidence]) -> Worth:

@@ -133,7 +133,9 @@ def test_an_axis_that_the_base_model_does_not_explain_is_excluded(flights):
     assert "Mx" in worth.sentence()
 
 
-@pytest.mark.parametrize(("cutoff", "swing", "counts"), [(40.0, 0.0, True), (40.0, 5.0, False), (None, 0.0, False)])
+@pytest.mark.parametrize(
+    ("cutoff", "swing", "counts"), [(40.0, 0.0, True), (40.0, 5.0, False), (10.0, 0.0, False), (None, 0.0, False)]
+)
 def test_an_axis_of_which_noise_is_all_that_is_left_counts(flights, cutoff, swing, counts):
     """Noise ten times what the model explains has no memory beyond the low-pass; a swing of half of it has."""
     model, evidence = flights
@@ -145,6 +147,18 @@ def test_an_axis_of_which_noise_is_all_that_is_left_counts(flights, cutoff, swin
         measured[:, 0] = e.predicted[:, 0] + np.std(e.predicted[:, 0]) * error
         noisy.append(replace(e, measured=measured, metadata={"filters": {"low-pass cutoff Hz": cutoff}}))
     assert worth_of(model, noisy).excluded == (() if counts else ("Fx",))
+
+
+def test_an_axis_that_measures_nothing_is_excluded(flights):
+    """Roll and pitch that are made of the specific force leave no sideward force but rounding."""
+    model, evidence = flights
+    rng, filters = np.random.default_rng(0), {"filters": {"low-pass cutoff Hz": 40.0}}
+    empty = [
+        replace(e, measured=e.predicted + e.only("Fx", 1e-18 * rng.standard_normal(len(e)) - e.predicted[:, 0]),
+                predicted=e.predicted - e.only("Fx", e.predicted[:, 0]), metadata=filters)
+        for e in evidence
+    ]  # fmt: skip
+    assert worth_of(model, empty).excluded == ("Fx",)
 
 
 @pytest.mark.parametrize(("share", "usual"), [(0.005, True), (0.2, False)])
