@@ -132,6 +132,16 @@ def test_a_bent_cause_given_in_two_parts_is_bent_once():
         assert left.std() < 0.022  # of which noise is 0.02, the effect 0.34
 
 
+def test_a_floor_lies_no_higher_than_what_a_model_that_was_tried_leaves(monkeypatch):
+    """A fit of everything at once to noise leaves more than the one cause that is there."""
+    monkeypatch.setattr("quasi.gap.levels.forces.held_out.everything", lambda *_: lambda flight: 2.0 * flight.residual)
+    flights = [shifted(f, {"Fz": 0.5 * f.columns["w"] * flag}) for flag, f in zip(COMPARED, map(flight, (1, 2, 3, 4)))]
+    there = [shifted(f, {"Fz": 0.5 * f.columns["w"]}) for f in map(flight, (5, 6))]
+    kept, judge = judged(push({"Fz": "w"}, ("Fz",)), flights, there, COMPARED)
+    assert kept == ["push"]
+    assert judge.floor[2] < 0.1 * judge.old.mean()[2]
+
+
 @pytest.mark.parametrize("share", [0.05, 0.2, 0.5])
 def test_another_mass_leaves_the_models_thrust_as_it_was(share):
     effect = CAUSES["mass"]
