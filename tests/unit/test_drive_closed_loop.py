@@ -128,6 +128,20 @@ def test_a_model_that_states_one_rotors_factor_is_not_blamed_for_how_the_lag_of_
     assert not level.effects and not level.ties
 
 
+def test_a_lag_without_ways_up_and_down_is_compared_as_well():
+    """A published model states one lag; a model without any may have that of an extension."""
+    flights = [flown(s, lag=2.5 * LAG) for s in (1, 2, 3)]
+    bare = model_of([flown(s) for s in (21, 22, 23)])
+    one = {k: v for k, v in bare["actuators"].items() if k not in ("time constants up", "time constants down")}
+    (effect,) = examine(flights, bare | {"actuators": one}, {}).effects
+    assert (effect["id"], effect["since"]) == ("motor_lag", "always")
+    none = {k: v for k, v in one.items() if k != "time constants"}
+    for constants, names in (({"time constant": LAG}, ["motor_lag"]), ({"rotor1 lag factor": 1.5}, [])):
+        extension = {"id": "motor_lag", "actuators": constants}
+        level = examine(flights, bare | {"actuators": none, "extensions": [extension]}, {})
+        assert [e["id"] for e in level.effects] == names
+
+
 @pytest.mark.parametrize("size", [2.0, 5.0])
 def test_a_lag_that_was_always_there_is_found_whatever_the_models_flights_were(size):
     document = model_of([flown(s, size=size) for s in (21, 22, 23)])

@@ -177,7 +177,8 @@ def examine(flights: Sequence[Flown], document: Mapping[str, Any], options: Mapp
 def _belief(flights: Sequence[Flown], document: Mapping[str, Any], kind: str) -> tuple[Belief | None, bool]:
     """Where the fits start, and whether the model knows it."""
     held = belief_of(document, kind)
-    is_known = held is not None and "time constants up" in (document.get("actuators") or {})
+    # next to factors of single rotors alone, a lag is taken for a model that states none
+    is_known = has_lag_of_extension(document) or "time constants" in (document.get("actuators") or {})
     volts = reference_voltage(flights)
     if held is None:
         values = np.zeros(len(CONSTANTS))
