@@ -17,7 +17,7 @@ EFFECT = Effect(
     id="motor_lag",
     level="drive",
     sentence="the rotors follow their commands with another lag than the model's",
-    partial="{} follows its commands with another lag than the model's",
+    partial="the lag of {} behind commands is another than the model's",
     equation="dW_i/dt = (W_wanted - W_i) / time_constant, of all rotors; or of rotor i times its factor",
     source="Klein & Morelli, 2006, section 6.3",
     parameters={
