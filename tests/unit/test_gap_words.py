@@ -287,4 +287,5 @@ def test_the_lag_of_one_rotor_is_said_of_that_rotor():
     lag = KNOWN["motor_lag"]
     one, two = (lag.happens(dict.fromkeys(names, 1.4)) for names in (["rotor2"], ["rotor2", "rotor4"]))
     assert one.replace("rotor 2", "rotor 2 and rotor 4") == two  # a sentence for one and for several
+    assert " its " not in two
     assert lag.happens({"time_constant": 0.04, "rotor2": 1.4}).startswith("the rotors follow their commands")
