@@ -208,6 +208,16 @@ def test_too_few_windows_are_an_error_that_says_so():
         output_error.covariance_of([np.ones((3, 4))], [np.ones((3, 4, 2))], np.ones(2))
 
 
+def test_a_flight_without_a_window_adds_nothing_to_the_noise():
+    rng = np.random.default_rng(0)
+    errors, columns, spread = rng.standard_normal((30, 4)), rng.standard_normal((30, 4, 2)), np.ones(2)
+    whole = output_error.covariance_of([errors], [columns], spread)
+    diverged = np.full((3, 4), np.nan)
+    for lacking in (errors[:0], diverged):
+        found = output_error.covariance_of([errors, lacking], [columns, columns[: len(lacking)]], spread)
+        np.testing.assert_array_equal(found, whole)
+
+
 def test_one_held_out_flight_refutes_no_more_than_flights_differ_by():
     """A faint cause, |t| = 4 in four flights, shows nothing in one flight: that is chance. A clear one, |t| = 20, is
     not there."""
