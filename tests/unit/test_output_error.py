@@ -201,6 +201,12 @@ def test_what_cannot_be_simulated_is_neither_confirmed_nor_dropped(model, weak, 
     )  # fmt: skip
     assert settled.causes == [one] and "0 windows" in settled.notes[0]
     assert settled.confirmations["rotor_effectiveness", "always"].outcome == UNJUDGED
+    # what has to be confirmed is not
+    pitch_is_worthless = [dataclasses.replace(evidence[f"f{k}"], excluded=(AXES.index("My"),)) for k in range(3)]
+    in_part = Searched(gather_design(pitch_is_worthless, EFFECTS, vehicle_of(model)))
+    settled = settle(in_part, [one], model, [True] * 3, EFFECTS, vehicle_of(model), [evidence["f3"]], short)
+    assert not settled.causes and settled.notes
+    assert [(c, answer.outcome) for c, answer in settled.dropped] == [(one, REFUTED)]
 
 
 def test_too_few_windows_are_an_error_that_says_so():
