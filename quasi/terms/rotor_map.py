@@ -28,6 +28,7 @@ from quasi.errors import DataError
 
 ROTOR_NUMBERS = range(1, 5)
 LAG_FACTORS = tuple(f"rotor{i} lag factor" for i in ROTOR_NUMBERS)  # in extensions: on the time constants of one
+WAYS_RATIO = "down over up"  # in extensions: time constant of slowing down over that of speeding up
 LOW_VOLTAGE = 0.1  # of a reference voltage, below which a reading is none
 STEADY_VOLTAGE = 0.01  # std over median of the voltage, below which a battery gives no exponent
 SPEEDS = tuple(f"w{i}" for i in ROTOR_NUMBERS)

@@ -353,7 +353,12 @@ def _parameters(
     if offer.cause == "motor_lag":
         each = values[:, :2].mean(axis=1)
         std = max(float(each.std()) * share, NORMAL["up"] * float(each.mean()) * share / np.sqrt(2.0))
-        return {"time_constant": {"value": float(each.mean()), "std": float(np.hypot(std, timing)), "unit": "s"}}
+        ratio = values[:, 1] / values[:, 0]
+        apart = max(float(ratio.std()), NORMAL["up"] * float(ratio.mean())) * share
+        return {
+            "time_constant": {"value": float(each.mean()), "std": float(np.hypot(std, timing)), "unit": "s"},
+            "down_over_up": {"value": float(ratio.mean()), "std": apart, "unit": "1"},
+        }
     if offer.cause == "battery_sag":
         each = values[:, EXPONENT]
         std = max(float(each.std()) * share, NORMAL["exponent"] * share)
