@@ -96,7 +96,7 @@ def rotor_speeds(commands, volts, time_step):
         (1, -(part + 1.0) * part * (part - 2.0) / 2.0), (2, (part + 1.0) * part * (part - 1.0) / 6.0),
     )
     wanted = sum(w * wanted[np.clip(at - k, 0, len(wanted) - 1)] for k, w in weights)
-    lag = {float(drive["time constant"]["value"])!r}
+    lag = np.array({drive["time constant"]["value"]!r})
     speeds = _lagged(wanted, time_step, lag)
     return speeds, (wanted - speeds) / lag
 

@@ -82,7 +82,8 @@ def constant_force_ties(
     axes on which held-out flights show a constant error that no cause explains: a smaller force is material there;
     suspected  causes that are nearly significant: of those that would explain the force, they stand in the tie
     Means are taken in earth axes (room) and are compared with what flights differ by and with the spread of the
-    reference flights. Forces of the causes are not separable here, so each parameter is what the force would take.
+    reference flights. A force that these have alike on the vehicle is no change either, whatever the heading.
+    Forces of the causes are not separable here, so each parameter is what the force would take.
     What two reference flights and more have of a constant force needs no model that explains the axis.
     """
     if len(reference) > 1:
@@ -100,10 +101,15 @@ def constant_force_ties(
         center = usual.mean(axis=0) if len(usual) else np.zeros(len(axes))
         weights = np.array([e.mass * GRAVITY for e in compared])
         away, known = means - center, _covariances(load, compared, reference, spread)
-        p = float(chi2.sf(sum(a @ np.linalg.solve(c, a) for a, c in zip(away.T, known)), away.size))
+        usual_on_board = np.mean([_on_board(e, left) for e in reference], axis=0) if reference else np.zeros(3)
+        beyond = means - [rotate(e.quaternion, usual_on_board).mean(axis=0)[axes] for e in compared]
+        p = max(
+            float(chi2.sf(sum(a @ np.linalg.solve(c, a) for a, c in zip(of.T, known)), of.size))
+            for of in (away, beyond)
+        )
         sizes = np.linalg.norm(away, axis=1) / weights
         small = np.median(sizes) < share and not set(load.channels) & set(shown)
-        if p >= level or small or _varies(compared, left, axes, away):
+        if p >= level or small or _varies(compared, left, axes, away, usual_on_board):
             continue
         mean, error = away.mean(axis=0), np.sqrt([c.mean() for c in known])
         force = {n: {"value": float(v), "std": float(s), "unit": "N"} for n, v, s in zip(load.axes, mean, error)}
@@ -145,11 +151,13 @@ def in_ties(entry: Mapping[str, Any], ties: Sequence[Mapping[str, Any]]) -> bool
     )  # fmt: skip
 
 
-def _varies(compared: Sequence[Evidence], left: Residual, axes: Sequence[int], away: np.ndarray) -> bool:
+def _varies(
+    compared: Sequence[Evidence], left: Residual, axes: Sequence[int], away: np.ndarray, usual_on_board: np.ndarray
+) -> bool:
     """Whether the force is not constant: flights differ by more than they have in common, in the room and on the
     vehicle, or over the flight with the largest range of time or of height it changes by half of it and more. The slope
     is fitted to the two halves of every flight."""
-    on_board = np.array([left(e)[:, axes].mean(axis=0) for e in compared])
+    on_board = np.array([(_on_board(e, left) - usual_on_board)[axes] for e in compared])
     if all(_scatters(forces) for forces in (away, on_board)):
         return True
     usual = np.median(np.linalg.norm(away, axis=1))
@@ -182,6 +190,9 @@ def _halves(flight: Evidence, left: Residual, name: str, axes: Sequence[int]) ->
 
 def _mean_force(flight: Evidence, left: Residual, rows: np.ndarray | slice = slice(None)) -> np.ndarray:
     """Mean residual force (3,) north, east and down, N, of some rows of a flight; excluded axes are 0."""
-    residual = left(flight)[:, :3].copy()
-    residual[:, [k for k in flight.excluded if k < 3]] = 0.0
-    return rotate(flight.quaternion, residual)[rows].mean(axis=0)
+    return rotate(flight.quaternion, flight.heard(left(flight))[:, :3])[rows].mean(axis=0)
+
+
+def _on_board(flight: Evidence, left: Residual) -> np.ndarray:
+    """Mean residual force (3,) along the body's axes, N; excluded axes are 0."""
+    return flight.heard(left(flight))[:, :3].mean(axis=0)

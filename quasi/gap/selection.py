@@ -286,7 +286,7 @@ class Search:
         and, where forms err, one that makes the flights likelier, but whose size differs too much between them: a load
         whose swing is only roughly known next to a mass, say.
         """
-        own, tied, wald = self.profiles[best.offer.cause], [], best.wald
+        own, tied, separability = self.profiles[best.offer.cause], [], best.separability
         for rival in ranking:
             name = rival.offer.cause
             declared = name in own.rivals or best.offer.cause in self.profiles[name].rivals
@@ -300,8 +300,8 @@ class Search:
             stays = self._stays(best.offer, rival.offer, given)
             if name in own.always_tied_with or likelier or (simple and not stays):
                 tied.append(rival)
-                wald = min(wald, given.wald)
-        return Tie([best, *tied[:2]], float((wald / len(best.offer.which)) ** 0.5)) if tied else None
+                separability = min(separability, given.separability)
+        return Tie([best, *tied[:2]], separability) if tied else None
 
     def _dominant(self, tests: Sequence[Test]) -> tuple[Test | None, list[Rival], Tie | None]:
         """The cause that explains the others away, or the tie of those that explain each other away."""
@@ -343,9 +343,8 @@ class Search:
             or (not stays(best, b) and (len(b.offer.which) <= len(best.offer.which) or explains_more(b, best)))
         ]
         if equal:
-            nearest = min(equal, key=lambda b: given[best.offer, b.offer].wald)
-            separability = (given[best.offer, nearest.offer].wald / len(best.offer.which)) ** 0.5
-            return None, [], Tie([best, *sorted(equal, key=lambda b: b.p)[:2]], float(separability))
+            separability = min(given[best.offer, b.offer].separability for b in equal)
+            return None, [], Tie([best, *sorted(equal, key=lambda b: b.p)[:2]], separability)
         rivals = [
             Rival(b.offer.cause, b.p, given[b.offer, best.offer].p, given[best.offer, b.offer].p)
             for b in sorted(others, key=lambda b: b.p)
@@ -411,7 +410,7 @@ class Search:
                     simpler.append((best, without))
             if simpler:
                 first, without = min(simpler, key=lambda pair: pair[0].p)
-                ties.append(Tie([first, together], float((without.wald / len(which)) ** 0.5)))
+                ties.append(Tie([first, together], without.separability))
                 kept = [n for n in kept if n not in parts]
         return kept, ties
 

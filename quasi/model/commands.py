@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from quasi.errors import ConfigError, ShapeError
-from quasi.terms.rotor_map import commanded_speeds, delayed, drive_of_map, lagged, voltage_elasticity
+from quasi.terms.rotor_map import LAG_FACTORS, commanded_speeds, delayed, drive_of_map, lagged, voltage_elasticity
 
 
 def map_of(document: Mapping[str, Any]) -> dict[str, Any] | None:
@@ -17,9 +17,11 @@ def map_of(document: Mapping[str, Any]) -> dict[str, Any] | None:
 def extended_map(document: Mapping[str, Any]) -> dict[str, Any] | None:
     """`map_of` with what the model's extensions know of voltage, time constant, delay and scale; the last one counts.
 
-    An extension's exponent is that of the speed at the operating command.
+    An extension's exponent is that of the speed at the operating command. Where one knows rotors with lags of their
+    own, the time constant is one of each rotor, (4,).
     """
     own = drive = map_of(document)
+    factors, of_all = np.ones(4), False
     for extension in document.get("extensions") or ():
         found = extension.get("actuators") or {}
         if drive is None or not found:
@@ -32,6 +34,12 @@ def extended_map(document: Mapping[str, Any]) -> dict[str, Any] | None:
         if "rotor speed scale" in found:
             true = (np.asarray(own["speeds"]["value"], float) / float(found["rotor speed scale"])).tolist()
             drive |= {"speeds": {**own["speeds"], "value": true}}
+        factors = np.array([float(found.get(n, f)) for n, f in zip(LAG_FACTORS, factors)])
+        of_all |= "time constant" in found
+    if drive is not None and np.any(factors != 1.0):
+        # as in `extensions.drive_of`: next to a time constant, that of all rotors, factors shift them
+        shares = factors / np.exp(np.mean(np.log(factors))) if of_all else factors
+        drive |= {"time constant": {"value": (drive["time constant"]["value"] * shares).tolist(), "unit": "s"}}
     return drive
 
 
@@ -62,7 +70,7 @@ def rotor_speeds(
     step = np.diff(t)
     if not np.all(np.abs(step - step.mean()) <= 0.01 * step.mean()):
         raise ShapeError("t must be evenly spaced and increasing; resample commands and states first")
-    dt, tau, delay = float(step.mean()), drive["time constant"]["value"], drive["delay"]["value"]
+    dt, tau, delay = float(step.mean()), np.array(drive["time constant"]["value"]), drive["delay"]["value"]
     wanted = commanded_speeds(drive, commands, volts, dt)
     speeds = lagged(wanted, dt, tau, delay)
     return speeds, (delayed(wanted, dt, delay) - speeds) / tau

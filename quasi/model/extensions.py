@@ -18,7 +18,7 @@ from quasi.model.columns import ROTORS
 from quasi.model.commands import map_of
 from quasi.model.model import Model
 from quasi.tables import TELEMETRY_AGE_REMOVED
-from quasi.terms.rotor_map import COMMANDED, LAG_FACTORS, RAW, SHARES, lagged, speed_exponent
+from quasi.terms.rotor_map import COMMANDED, LAG_FACTORS, RAW, SHARES, WAYS_RATIO, lagged, speed_exponent
 
 # keys of a model's document: mass, kg, and inertia, kg m2, with which its flights were processed
 CONFIGURED_MASS_KEY, CONFIGURED_INERTIA_KEY = "configured mass", "configured inertia"
@@ -32,6 +32,7 @@ _ROTOR_CONSTANTS = (
     "reference voltage",
     "telemetry delay",
     "rotor speed scale",
+    WAYS_RATIO,
     *LAG_FACTORS,
 )
 
@@ -58,8 +59,8 @@ def extensions_of(model: Model) -> list[Mapping[str, Any]]:
 def read_rotor_constants(model: Model) -> dict[str, float]:
     """Read the rotor constants of the extensions; {} without any. Raises ConfigError for unknown or invalid ones.
 
-    "time constant" s, the mean of speeding up and slowing down; "rotor1 lag factor" and so on;
-    "delay" s; "voltage exponent" of the steady speed;
+    "time constant" s, the mean of speeding up and slowing down; "down over up" the ratio of these; "rotor1 lag factor"
+    and so on; "delay" s; "voltage exponent" of the steady speed;
     "reference voltage" V at which it is 1, for a command map without one. Recordings, where recorded speeds drive a
     roll-out: "telemetry delay" s and "rotor speed scale", both subtracted from the record
     """
@@ -84,9 +85,9 @@ def drive_of(document: Mapping[str, Any]) -> dict[str, Any]:
     own.
 
     A time constant of an extension is the mean of speeding up and slowing down, of the four rotors by their
-    logarithms; the model's own ratio of the two, and that of its rotors, is kept. So is the reference voltage of its
-    command map where it has one. Factors of single rotors multiply what there is; next to a time constant, that of all
-    rotors, they shift rotors against one another.
+    logarithms; the model's own ratio of its rotors is kept, and that of the two where no extension states it. So is the
+    reference voltage of its command map where it has one. Factors of single rotors multiply what there is; next to a
+    time constant, that of all rotors, they shift rotors against one another.
     Raises DataError for a damaged section, ConfigError for a damaged extension.
     """
     name = str(document.get("id", ""))
@@ -100,6 +101,10 @@ def drive_of(document: Mapping[str, Any]) -> dict[str, Any]:
         both = all(k in own for k in _LAGS[1:])
         middle = np.mean([_mean_lag(own[k]) for k in _LAGS[1:]] if both else _mean_lag(own.get(_LAGS[0], lag)))
         scaled = {k: (v * lag / middle).tolist() for k, v in own.items() if both or k == _LAGS[0]}
+        if ratio := found.get(WAYS_RATIO):
+            ways = dict(zip(_LAGS, (lag, 2.0 * lag / (1.0 + ratio), 2.0 * lag * ratio / (1.0 + ratio))))
+            rotors = {k: own.get(k, own.get(_LAGS[0], np.ones(4))) for k in ways}
+            scaled = {k: (v / _mean_lag(v) * ways[k]).tolist() for k, v in rotors.items()}
         known |= {k: {"value": v} for k, v in ({_LAGS[0]: lag} | scaled).items()}
     if any(n in found for n in LAG_FACTORS):
         factors = np.array([found.get(n, 1.0) for n in LAG_FACTORS])
@@ -353,7 +358,7 @@ def _collect_rotor_constants(document: Mapping[str, Any], name: str) -> dict[str
                 raise ConfigError(f"{what} changes the rotors' '{key}', which the simulator does not know"
                                   f"{nearest(key, _ROTOR_CONSTANTS)}; extend the model without it")  # fmt: skip
             number = float(value) if isinstance(value, int | float) else math.nan
-            positive = key in ("time constant", "reference voltage", "rotor speed scale", *LAG_FACTORS)
+            positive = key in ("time constant", "reference voltage", "rotor speed scale", WAYS_RATIO, *LAG_FACTORS)
             if not math.isfinite(number) or (positive and number <= 0.0):
                 raise ConfigError(f"{what}: '{key}' is {value!r}, expected a {'positive' if positive else 'finite'} "
                                   "number; build the extended model again")  # fmt: skip

@@ -28,6 +28,7 @@ from quasi.errors import DataError
 
 ROTOR_NUMBERS = range(1, 5)
 LAG_FACTORS = tuple(f"rotor{i} lag factor" for i in ROTOR_NUMBERS)  # in extensions: on the time constants of one
+WAYS_RATIO = "down over up"  # in extensions: time constant of slowing down over that of speeding up
 LOW_VOLTAGE = 0.1  # of a reference voltage, below which a reading is none
 STEADY_VOLTAGE = 0.01  # std over median of the voltage, below which a battery gives no exponent
 SPEEDS = tuple(f"w{i}" for i in ROTOR_NUMBERS)
@@ -116,8 +117,13 @@ def cold_surplus(share: np.ndarray, dt: float, drop: float, tau: float) -> np.nd
     return 1.0 + drop * (1.0 - lagged(share, dt, tau, 0.0))
 
 
-def lagged(wanted: np.ndarray, dt: float, tau: float, delay: float) -> np.ndarray:
-    """What follows wanted (N, R) late by `delay`, s, and with a first-order lag, s; linear between samples."""
+def lagged(wanted: np.ndarray, dt: float, tau: float | np.ndarray, delay: float) -> np.ndarray:
+    """What follows wanted (N, R) late by `delay`, s, and with a first-order lag, s; linear between samples.
+
+    tau  s, of all or of each (R,)
+    """
+    if np.ndim(tau):
+        return np.stack([lagged(w, dt, each, delay) for w, each in zip(wanted.T, tau, strict=True)], axis=1)
     keep, share = np.exp(-dt / tau), dt / tau
     last = 1.0 - (1.0 - keep) / share
     first = (1.0 - keep) / share - keep

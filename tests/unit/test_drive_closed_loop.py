@@ -13,7 +13,7 @@ from quasi.gap.flights.level import Flown
 from quasi.gap.flights.residual_tables import spectra
 from quasi.gap.levels.drive.findings import _odd_rotors, weak
 from quasi.gap.levels.drive.fit import Belief, DriveFit, fit_drive
-from quasi.gap.levels.drive.identify import examine
+from quasi.gap.levels.drive.identify import CATALOGUE, examine
 
 RATE, SECONDS, FINER = 500.0, 20.0, 2
 LAG, AGE, GAIN, HOVER = 0.02, 0.002, 4000.0, 0.45
@@ -26,10 +26,10 @@ TRUE_DELAY = AGE + 0.5 / RATE
 
 
 @functools.cache
-def flown(seed, compared=True, lag=LAG, late=0.0, age=AGE, disturbed=15.0, size=2.0):
+def flown(seed, compared=True, lag=LAG, late=0.0, age=AGE, disturbed=15.0, size=2.0, slowing=1.0):
     """One flight of four rotors, each with a rate that its errors of speed turn and that its command answers.
 
-    disturbed  rad/s, of each interval of the log; size  of the manoeuvres
+    disturbed  rad/s, of each interval of the log; size  of the manoeuvres; slowing  times the lag, where speed falls
     """
     rng = np.random.default_rng(seed)
     n, dt = int(SECONDS * RATE), STEP
@@ -47,7 +47,8 @@ def flown(seed, compared=True, lag=LAG, late=0.0, age=AGE, disturbed=15.0, size=
                 commands.append(wanted - 0.0016 * rate)
             line.append(commands[-1])
             speeds.append(speed)
-            speed += (GAIN * line.pop(0) - speed) / lag * dt + step
+            away = GAIN * line.pop(0) - speed
+            speed += away / (lag if away > 0.0 else slowing * lag) * dt + step
             rate += (2.5 * (speed - GAIN * wanted) - rate) * dt
         columns[f"w{i}"] = np.interp(t - age, fine, speeds) + 2.0 * rng.standard_normal(n)
         columns[f"command{i}"] = np.array(commands)
@@ -126,6 +127,32 @@ def test_a_model_that_states_one_rotors_factor_is_not_blamed_for_how_the_lag_of_
     extension = {"id": "motor_lag", "actuators": {"rotor2 lag factor": factor}}
     level = examine(flights, document | {"extensions": [extension]}, {})
     assert not level.effects and not level.ties
+
+
+def test_rotors_that_slow_down_otherwise_are_found_once():
+    """The extension had kept the model's own ratio, and the next comparison named the same lag again."""
+    flights = [flown(s, slowing=3.0) for s in (1, 2, 3, 4)]
+    document = model_of([flown(s) for s in (21, 22, 23)])
+    (effect,) = examine(flights, document, {}).effects
+    assert effect["parameters"]["down_over_up"]["value"] == pytest.approx(3.0, rel=0.15)
+    found = CATALOGUE["motor_lag"].extension(dict.fromkeys(CATALOGUE["motor_lag"].parameters, 0.0) | {
+        n: p["value"] for n, p in effect["parameters"].items()}, None, None)  # fmt: skip
+    again = examine(flights, document | {"extensions": [{"id": "motor_lag", "actuators": found.actuators}]}, {})
+    assert not again.effects and not again.ties
+
+
+def test_a_lag_without_ways_up_and_down_is_compared_as_well():
+    """A published model states one lag; a model without any may have that of an extension."""
+    flights = [flown(s, lag=2.5 * LAG) for s in (1, 2, 3)]
+    bare = model_of([flown(s) for s in (21, 22, 23)])
+    one = {k: v for k, v in bare["actuators"].items() if k not in ("time constants up", "time constants down")}
+    (effect,) = examine(flights, bare | {"actuators": one}, {}).effects
+    assert (effect["id"], effect["since"]) == ("motor_lag", "always")
+    none = {k: v for k, v in one.items() if k != "time constants"}
+    for constants, names in (({"time constant": LAG}, ["motor_lag"]), ({"rotor1 lag factor": 1.5}, [])):
+        extension = {"id": "motor_lag", "actuators": constants}
+        level = examine(flights, bare | {"actuators": none, "extensions": [extension]}, {})
+        assert [e["id"] for e in level.effects] == names
 
 
 @pytest.mark.parametrize("size", [2.0, 5.0])

@@ -55,6 +55,26 @@ def test_python(model):
         np.testing.assert_allclose(got, own, rtol=1e-9, atol=1e-12)
 
 
+@pytest.mark.parametrize(
+    ("actuators", "lags"),
+    [({"rotor3 lag factor": 16.0}, [0.034, 0.034, 16.0 * 0.034, 0.034]),
+     ({"rotor3 lag factor": 16.0, "time constant": 0.04}, [0.02, 0.02, 0.32, 0.02])],
+)  # fmt: skip
+def test_python_with_rotors_of_an_extension_that_lag_by_themselves(actuators, lags):
+    extended = Model({**driven("linear").document, "extensions": [{"id": "motor_lag", "actuators": actuators}]})
+    module = types.ModuleType("made")
+    exec(python_file(extended)[1], module.__dict__)
+    t = np.arange(len(COMMANDS)) * 0.004
+    speeds = rotor_speeds(extended.document, t, COMMANDS, VOLTS)
+    for got, own in zip(module.rotor_speeds(COMMANDS, VOLTS, 0.004), speeds):
+        np.testing.assert_allclose(got, own, rtol=1e-9, atol=1e-6)
+    for i, lag in enumerate(lags):
+        alone = driven("linear")
+        alone.document["rotor speeds"]["time constant"]["value"] = lag
+        for own, expected in zip(speeds, rotor_speeds(alone.document, t, COMMANDS, VOLTS)):
+            np.testing.assert_allclose(own[:, i], expected[:, i], rtol=1e-9, atol=1e-6)
+
+
 def test_python_with_motors_that_warm_up():
     model = driven("linear")
     model.document["rotor speeds"] |= {"warm-up drop": {"value": 0.06}, "warm-up time constant": {"value": 8.0}}

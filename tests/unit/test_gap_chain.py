@@ -287,6 +287,15 @@ def test_a_lag_that_was_found_scales_what_the_model_holds(own, expected):
         assert found[key]["value"] == pytest.approx(value)
 
 
+@pytest.mark.parametrize("own", [{}, {"time constants": [0.02] * 4}, {"time constants up": 0.02}])
+def test_a_ratio_of_slowing_down_that_was_found_holds_whatever_the_model_states(own):
+    sections = [{"id": "motor_lag", "actuators": {"time constant": 0.04, "down over up": 3.0}}]
+    found = drive_of({"id": "one", "actuators": {k: {"value": v} for k, v in own.items()}, "extensions": sections})
+    assert [np.mean(found[f"time constants{way}"]["value"]) for way in ("", " up", " down")] == (
+        pytest.approx([0.04, 0.02, 0.06])
+    )
+
+
 @pytest.mark.parametrize("wind", ["fast", [1.0, 2.0], float("nan")])
 def test_a_damaged_wind_is_told(wind):
     document = {**base_of("withGravity").document, "extensions": [{"id": "wind", "environment": {"wind": wind}}]}

@@ -1,5 +1,7 @@
 """What the instruments would show if an extended model were right: recordings put right, a load that swings."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from plain_plant import made_model
@@ -10,6 +12,7 @@ from quasi.gap.extension import extend
 from quasi.gap.flights.evidence import Evidence
 from quasi.gap.flights.instruments import shown
 from quasi.gap.flights.pendulum import pull_of
+from quasi.gap.levels.forces.polynomial_baseline import polynomial
 from quasi.model.model import AXES, Model
 
 CATALOGUE = catalogue()
@@ -86,3 +89,13 @@ def test_a_load_beside_another_mass_is_read_with_the_configured_one(gravity):
     if gravity == "withGravity":
         both = shown(Model(extend(model, causes, vehicle_of(model), "x", "test")), model, evidence)[:, :3]
         np.testing.assert_allclose(both, found, atol=1e-9)
+
+
+def test_a_model_without_a_hover_speed_is_compared_with_a_polynomial_as_well():
+    bare = base_of("withGravity")
+    bare = Model({**bare.document, "hover speed": {"value": None, "unit": "rad/s"}})
+    evidence, _ = flight(bare)
+    noise = np.random.default_rng(0).standard_normal(evidence.measured.shape)
+    evidence = replace(evidence, measured=evidence.measured + noise)
+    left = polynomial([evidence], 2)(evidence)
+    assert np.isfinite(left).all() and np.sum(left**2) <= np.sum(evidence.residual**2)

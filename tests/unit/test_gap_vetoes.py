@@ -327,6 +327,47 @@ def test_a_constant_force_is_alike_in_the_room_or_on_the_vehicle(flights, turned
     assert bool(constant_force_ties(compared, reference, left, [], catalogue(), 1e-3, 0.05)) is constant
 
 
+@pytest.mark.parametrize("excluded", [(), (1,)])
+def test_a_force_that_all_flights_have_on_the_vehicle_is_no_change_at_another_heading(flights, excluded):
+    evidence = [replace(replace_attitude(e), excluded=excluded) for e in flights[1]]
+    compared, reference = evidence[:2], evidence[2:3]
+    compared = [replace(e, columns={**e.columns, "yaw": np.full(len(e), np.pi)}) for e in compared]
+    for there, ties in (([*compared, *reference], 0), (compared, 1)):
+        keys = {e.key for e in there}
+
+        def left(e, keys=keys):
+            return e.only("Fx", 0.07 * e.mass * 9.81 if e.key in keys else 0.0)
+
+        assert len(constant_force_ties(compared, reference, left, [], catalogue(), 1e-3, 0.05)) == ties
+
+
+def test_a_force_of_the_room_is_one_while_the_vehicle_turns(flights):
+    """It then has no mean on the vehicle."""
+    evidence = [replace_attitude(e) for e in flights[1]]
+    compared, reference = evidence[:2], evidence[2:3]
+    turning = {e.key: np.linspace(0.0, 4.0 * np.pi, len(e)) for e in compared}
+    compared = [replace(e, columns={**e.columns, "yaw": turning[e.key]}) for e in compared]
+
+    def left(e):
+        yaw = turning.get(e.key, np.full(len(e), np.pi / 2.0))
+        return 0.14 * e.mass * 9.81 * (e.only("Fx", np.cos(yaw)) - e.only("Fy", np.sin(yaw) * (e.key in turning)))
+
+    assert len(constant_force_ties(compared, reference, left, [], catalogue(), 1e-3, 0.05)) == 1
+
+
+def test_an_excluded_axis_makes_no_force_constant(flights):
+    """Forward and backward in turn, and always to the right by what a model that explains nothing there leaves."""
+    evidence = [replace(replace_attitude(e), excluded=(1,)) for e in flights[1]]
+    compared, reference = evidence[:2], evidence[2:3]
+    side = dict(zip((e.key for e in compared), (0.14, -0.13)))
+
+    def left(e):
+        size = e.mass * 9.81
+        return e.only("Fx", side.get(e.key, 0.0) * size) + e.only("Fy", size)
+
+    assert constant_force_ties(compared, reference, left, [], catalogue(), 1e-3, 0.05) == []
+
+
 def replace_attitude(evidence):
     """The same flight, level and heading north."""
     level = dict.fromkeys(("roll", "pitch", "yaw"), np.zeros(len(evidence)))

@@ -285,5 +285,7 @@ def test_a_sensor_finding_that_changes_nothing_explains_nothing_and_says_so():
 
 def test_the_lag_of_one_rotor_is_said_of_that_rotor():
     lag = KNOWN["motor_lag"]
-    assert lag.happens({"rotor2": 1.4}).startswith("rotor 2 follows its commands")
+    one, two = (lag.happens(dict.fromkeys(names, 1.4)) for names in (["rotor2"], ["rotor2", "rotor4"]))
+    assert one.replace("rotor 2", "rotor 2 and rotor 4") == two  # a sentence for one and for several
+    assert " its " not in two
     assert lag.happens({"time_constant": 0.04, "rotor2": 1.4}).startswith("the rotors follow their commands")

@@ -162,6 +162,19 @@ def test_steady_rows_leave_ground_and_contacts_out():
     assert found.seconds < clean.seconds - 0.4
 
 
+@pytest.mark.parametrize("column", ["p", "az"])
+def test_a_row_without_a_rate_or_force_costs_no_more_than_its_surroundings(column):
+    frame, speed, _ = level_flight()
+    frame = frame.assign(p=0.0, q=0.0, r=0.0)
+    for i in range(4):
+        frame[f"w{i + 1}"] = 1000.0 * speed[:, i]
+    whole = steady_flight(frame, 0.03)
+    frame.loc[(frame["t"] - 10.0).abs().idxmin(), column] = np.nan
+    found = steady_flight(frame, 0.03)
+    np.testing.assert_allclose(found.thrust, whole.thrust)
+    assert whole.seconds - 0.6 < found.seconds < whole.seconds - 0.4
+
+
 def test_commands_stand_for_speeds_with_their_volts():
     frame, speed, _ = level_flight()
     frame["battery_voltage"] = np.linspace(4.0, 3.5, len(frame))

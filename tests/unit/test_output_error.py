@@ -201,11 +201,27 @@ def test_what_cannot_be_simulated_is_neither_confirmed_nor_dropped(model, weak, 
     )  # fmt: skip
     assert settled.causes == [one] and "0 windows" in settled.notes[0]
     assert settled.confirmations["rotor_effectiveness", "always"].outcome == UNJUDGED
+    # what has to be confirmed is not
+    pitch_is_worthless = [dataclasses.replace(evidence[f"f{k}"], excluded=(AXES.index("My"),)) for k in range(3)]
+    in_part = Searched(gather_design(pitch_is_worthless, EFFECTS, vehicle_of(model)))
+    settled = settle(in_part, [one], model, [True] * 3, EFFECTS, vehicle_of(model), [evidence["f3"]], short)
+    assert not settled.causes and settled.notes
+    assert [(c, answer.outcome) for c, answer in settled.dropped] == [(one, REFUTED)]
 
 
 def test_too_few_windows_are_an_error_that_says_so():
     with pytest.raises(DataError, match="3 windows .* expected at least 8"):
         output_error.covariance_of([np.ones((3, 4))], [np.ones((3, 4, 2))], np.ones(2))
+
+
+def test_a_flight_without_a_window_adds_nothing_to_the_noise():
+    rng = np.random.default_rng(0)
+    errors, columns, spread = rng.standard_normal((30, 4)), rng.standard_normal((30, 4, 2)), np.ones(2)
+    whole = output_error.covariance_of([errors], [columns], spread)
+    diverged = np.full((3, 4), np.nan)
+    for lacking in (errors[:0], diverged):
+        found = output_error.covariance_of([errors, lacking], [columns, columns[: len(lacking)]], spread)
+        np.testing.assert_array_equal(found, whole)
 
 
 def test_one_held_out_flight_refutes_no_more_than_flights_differ_by():

@@ -16,6 +16,7 @@ from quasi.gap.levels.sensors import identify as sensor_level
 from quasi.gap.planning import plan, plan_noise
 from quasi.gap.planning.manoeuvres import library
 from quasi.gap.planning.outlook import Outlook, Repeated, Spread
+from quasi.gap.planning.sensors_and_drive import DRIVES, drive_outlook
 from quasi.gap.statistics.candidates import Candidate
 from quasi.model.model import AXES
 
@@ -197,6 +198,19 @@ def test_sensor_faults_count_against_the_usual_spread(cards):
 def test_a_late_command_is_a_tie_with_late_telemetry_unless_the_motion_tells(cards):
     sight = cards["alone"]["command_delay"]
     assert sight.rival == "telemetry_delay" and sight.with_rival == 0.0
+
+
+def test_the_lag_of_the_rotors_is_expected_at_the_level_of_all_that_is_asked_of_them():
+    """One lag of all and one of each rotor, as the search of the drive."""
+    rng = np.random.default_rng(0)
+    products = [x.T @ x for x in rng.standard_normal((3, 500, 6))]
+    flights = [Repeated(p[None], 1, 0) for p in products]
+    effects = {n: CATALOGUE[n] for n in DRIVES}
+    outlook = drive_outlook(flights, MODEL, effects, 0.01)
+    lag, delay = (outlook.needed(outlook.whole(n), 1.0) for n in ("motor_lag", "command_delay"))
+    outlook.level *= 5.0
+    assert lag > delay
+    assert outlook.needed(outlook.whole("motor_lag"), 1.0) == pytest.approx(delay)
 
 
 def test_causes_that_cannot_be_judged_say_why():

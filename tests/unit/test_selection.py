@@ -89,6 +89,21 @@ def test_of_undisputed_causes_a_clearly_fainter_one_is_not_first_for_the_rivals_
     assert dominant({"a": 1e-32, "b": p, "c": 1e-9}, {("c", "b")}) == (first, ["c"] if first == "b" else [])
 
 
+def test_a_tie_counts_every_column_of_a_cause_of_equal_parameters():
+    class Equal(Stated):
+        def test(self, offer, given=(), pooled=()):
+            columns = 2 if offer.which == (1,) else 1
+            return super().test(offer, given, pooled)._replace(value=np.ones(columns), covariance=np.eye(columns))
+
+    stated = Equal({"a": 1e-9, "b": 1e-8}, {("a", "b"), ("b", "a")})
+    catalogue = {c: Effect(c, "forces", "", "", "", rivals=tuple("ab")) for c in "ab"}
+    tests = [stated.test(Candidate("a", "changed", (1,))), stated.test(Candidate("b", "changed", (0,)))]
+    search = searching(stated, catalogue, "changed", 5e-3)
+    for tie in (search._dominant(tests)[2], search._not_ruled_out(tests[0], tests)):
+        assert tie.tests[0].offer.cause == "a"
+        assert tie.separability == pytest.approx((-np.log(0.1) / 2) ** 0.5)
+
+
 def test_causes_that_the_data_cannot_split_are_a_tie():
     rng = np.random.default_rng(6)
     grams, data = flights(rng, 6)

@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
-from scipy.ndimage import uniform_filter1d
+from scipy.ndimage import minimum_filter1d, uniform_filter1d
 
 from quasi.attitude import GRAVITY
 from quasi.filtering.contact import CONTACT
@@ -92,7 +92,10 @@ def _without_ends(flying: np.ndarray, dt: float) -> np.ndarray:
 
 
 def _calm(frame: pd.DataFrame, dt: float) -> np.ndarray:
-    """True (n,) where the vehicle neither turns nor accelerates beyond CALM_RATE and CALM_FORCE in the mean."""
+    """True (n,) where the vehicle neither turns nor accelerates beyond CALM_RATE and CALM_FORCE in the mean.
+
+    Near rows without values that is unknown; they do not reach farther, as in a running sum they would.
+    """
     calm, width = np.ones(len(frame), bool), max(1, round(CALM_WINDOW / dt))
     for names, offset, limit in (
         (("p", "q", "r"), 0.0, CALM_RATE),
@@ -100,7 +103,9 @@ def _calm(frame: pd.DataFrame, dt: float) -> np.ndarray:
     ):
         if set(names) <= set(frame):
             values = frame[list(names)].to_numpy(float) + np.array([0.0, 0.0, offset])
-            calm &= np.linalg.norm(uniform_filter1d(values, width, axis=0), axis=1) < limit
+            known = np.isfinite(values).all(axis=1)
+            mean = uniform_filter1d(np.where(known[:, None], values, 0.0), width, axis=0)
+            calm &= (np.linalg.norm(mean, axis=1) < limit) & minimum_filter1d(known, width)
     return calm
 
 

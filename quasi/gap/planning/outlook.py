@@ -191,7 +191,7 @@ class Outlook:
             "alike": 2,
             "led": 1,
         }
-        selections = 1 if self.together else numbers[effect.parts]
+        selections = (1 if self.together else numbers[effect.parts]) * self.columns.tries.get(offer.cause, 1)
         freedom = min(self.freedom / max(share, 1e-3) ** 2, MOST_FREEDOM)
         return float(np.sqrt(m * f_distribution.isf(self.level / selections, m, freedom)) + POWER)
 

@@ -99,7 +99,9 @@ def _outlook(
     width = flights[0].stretches.shape[1]
     place = [*range(width), *nuisance, *shared]
     own = list(range(width, width + len(nuisance)))
-    columns = Columns(list(range(width + len(own), len(place))), own, np.array(spread), dict(causes))
+    # rotors are asked for one lag of all and for each one's own
+    tries = {n: 1 + len(ROTORS) for n in drive_level.ALIKE_COLUMNS if n in causes}
+    columns = Columns(list(range(width + len(own), len(place))), own, np.array(spread), dict(causes), tries=tries)
     wide = [f._replace(stretches=f.stretches[:, place][:, :, place]) for f in flights]
     return Outlook(wide, columns, len(place), 0, effects, rate, True, freedom, prior)
 

@@ -82,6 +82,11 @@ class Test(NamedTuple):
         return np.sqrt(np.diag(self.covariance))
 
     @property
+    def separability(self) -> float:
+        """|t| of one of its columns, were all alike: the root of the Wald statistic by column."""
+        return float((self.wald / len(self.value)) ** 0.5)
+
+    @property
     def p_known_spread(self) -> float:
         """Probability of nothing were the spread as well known as nuisances are, however few flights there are."""
-        return float(fdtrc(len(self.offer.which), MOST_FREEDOM, self.wald / len(self.offer.which)))
+        return float(fdtrc(len(self.value), MOST_FREEDOM, self.wald / len(self.value)))

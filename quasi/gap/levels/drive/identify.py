@@ -177,7 +177,8 @@ def examine(flights: Sequence[Flown], document: Mapping[str, Any], options: Mapp
 def _belief(flights: Sequence[Flown], document: Mapping[str, Any], kind: str) -> tuple[Belief | None, bool]:
     """Where the fits start, and whether the model knows it."""
     held = belief_of(document, kind)
-    is_known = held is not None and "time constants up" in (document.get("actuators") or {})
+    # next to factors of single rotors alone, a lag is taken for a model that states none
+    is_known = has_lag_of_extension(document) or "time constants" in (document.get("actuators") or {})
     volts = reference_voltage(flights)
     if held is None:
         values = np.zeros(len(CONSTANTS))
@@ -352,7 +353,12 @@ def _parameters(
     if offer.cause == "motor_lag":
         each = values[:, :2].mean(axis=1)
         std = max(float(each.std()) * share, NORMAL["up"] * float(each.mean()) * share / np.sqrt(2.0))
-        return {"time_constant": {"value": float(each.mean()), "std": float(np.hypot(std, timing)), "unit": "s"}}
+        ratio = values[:, 1] / values[:, 0]
+        apart = max(float(ratio.std()), NORMAL["up"] * float(ratio.mean())) * share
+        return {
+            "time_constant": {"value": float(each.mean()), "std": float(np.hypot(std, timing)), "unit": "s"},
+            "down_over_up": {"value": float(ratio.mean()), "std": apart, "unit": "1"},
+        }
     if offer.cause == "battery_sag":
         each = values[:, EXPONENT]
         std = max(float(each.std()) * share, NORMAL["exponent"] * share)

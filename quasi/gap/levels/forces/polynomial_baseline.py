@@ -4,6 +4,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
+from quasi.gap.effect import vehicle_of
 from quasi.gap.flights.evidence import Evidence
 from quasi.model.model import AXES
 
@@ -54,7 +55,8 @@ def polynomial(
 
 def _monomials(flight: Evidence) -> tuple[list[str], np.ndarray]:
     first = dict(zip("uvw", flight.velocity.T)) | dict(zip("pqr", flight.rates.T))
-    first["rotors"] = flight.speeds.mean(axis=1) / flight.model.hover_speed - 1.0
+    hover = flight.model.hover_speed or vehicle_of(flight.model).hover_speed  # which some published models do not state
+    first["rotors"] = flight.speeds.mean(axis=1) / hover - 1.0
     if "z" in flight.columns:
         first["height"] = -flight.columns["z"]
     first = {n: v / SCALES[n] for n, v in first.items()}

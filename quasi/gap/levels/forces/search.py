@@ -241,7 +241,7 @@ def _with_twins(
             continue
         given = [o for o in offers_of(named, ties) if o != offer]
         given_twin = mixed.test(offer, [*given, alike[0].offer], mixed.pooled(offer.since))
-        tied.append((offer.since, Tie([one.test, *alike], float((given_twin.wald / len(offer.which)) ** 0.5))))
+        tied.append((offer.since, Tie([one.test, *alike], given_twin.separability)))
         twins |= {t.offer.cause for t in alike}
     return clear, tied, twins
 

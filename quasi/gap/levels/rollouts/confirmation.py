@@ -186,7 +186,10 @@ def settle(
     except (ConfigError, DataError) as error:
         nothing = Confirmation(UNJUDGED, 0.0, np.inf, 0.0, str(error))
         note = f"the named causes could not be confirmed by roll-outs: {error}"
-        return Settled(kept, dropped, {_key(c): nothing for c in kept}, {}, [note])
+        results = [(c, _in_part(nothing, c, found.study.flights)) for c in kept]
+        dropped += [(c, s) for c, s in results if s.outcome == REFUTED]
+        confirmations = {_key(c): s for c, s in results if s.outcome != REFUTED}
+        return Settled([c for c in kept if _key(c) in confirmations], dropped, confirmations, {}, [note])
     return Settled([], dropped, {}, {}, [])
 
 

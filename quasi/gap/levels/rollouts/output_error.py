@@ -108,7 +108,7 @@ def covariance_of(errors: Sequence[np.ndarray], nuisance: Sequence[np.ndarray], 
     for error, columns in zip(errors, nuisance):
         good = np.isfinite(error).all(axis=1)
         y = (error[good] / level).ravel()
-        x = (columns[good] / level[:, None]).reshape(len(y), -1) * spread
+        x = (columns[good] / level[:, None]).reshape(-1, len(spread)) * spread
         left.append((y - x @ np.linalg.solve(x.T @ x + np.eye(x.shape[1]), x.T @ y)).reshape(-1, len(level)))
     whole = np.concatenate(left)
     inner = whole.T @ whole / len(whole)
