@@ -4,6 +4,7 @@ import numpy as np
 from scipy.ndimage import minimum_filter1d
 
 from quasi.attitude import GRAVITY, interpolate, rotate, rotate_inverse
+from quasi.importing.artefacts import LARGEST_FLOWN_ACCELERATION, USUAL_SCATTERS, unflyable_steps
 from quasi.importing.clocks.clock_fit import RESIDUAL_BLOCK
 from quasi.importing.clocks.synchronisation import Motion
 from quasi.importing.contradictions import (
@@ -13,7 +14,7 @@ from quasi.importing.contradictions import (
     SharedMotion,
     align_forces,
 )
-from quasi.importing.series import Track
+from quasi.importing.series import Track, interpolate_columns
 from quasi.sensor_limits import LENGTH_RATIO, MIN_BIAS_SIGMAS
 
 SAME_CLOCK_LAG = 1.0  # s, the most that anything logged on board, a capture too, may be late
@@ -73,3 +74,27 @@ def is_velocity_of_body(onboard: Motion, velocity: Track, t_attitude: np.ndarray
     means = blocks.mean(axis=1)
     means = means[np.isfinite(means)]
     return len(means) > 2 and means.mean() > MIN_BIAS_SIGMAS * means.std(ddof=1) / np.sqrt(len(means))
+
+
+def find_jumps(place: Track, velocity: Track) -> list[tuple[float, float]]:
+    """(time, s, size, m) of each jump of a position (n, 3), m, that its velocity (m, 3), m/s, does not share.
+
+    A jump is a step that cannot be flown, after which the position keeps another distance from the integral of the
+    velocity: beyond USUAL_SCATTERS times the usual change of that distance. A late sample is none.
+    """
+    fine, known = (np.isfinite(track.values).all(axis=1) for track in (place, velocity))
+    t, x = place.t[fine], np.ascontiguousarray(place.values[fine])
+    half = round(0.5 * RESIDUAL_BLOCK / float(np.median(np.diff(t)))) if len(t) > 1 else 0
+    if half < 2 or len(t) < 4 * half or np.count_nonzero(known) < 2:
+        return []
+    speed = interpolate_columns(t, velocity.t[known], velocity.values[known])
+    step = 0.5 * (speed[1:] + speed[:-1]) * np.diff(t)[:, None]
+    away = x - np.concatenate([np.zeros((1, 3)), np.cumsum(step, axis=0)])
+    level = np.median(np.lib.stride_tricks.sliding_window_view(away, half, axis=0), axis=-1)
+    change = np.linalg.norm(level[half:] - level[:-half], axis=1)  # between sample i + half and those before it
+    unflyable, floor, _ = unflyable_steps(t, x, np.zeros((1, 4)), False)
+    cut = np.flatnonzero(unflyable) + 1 - half
+    cut = cut[(cut >= 0) & (cut < len(change))]
+    flown = floor + 2.0 * LARGEST_FLOWN_ACCELERATION * float(np.median(np.diff(t))) ** 2
+    jumps = cut[change[cut] > max(flown, USUAL_SCATTERS * 1.4826 * float(np.median(change)))]
+    return [(float(t[i + half]), float(change[i])) for i in jumps]

@@ -5,6 +5,7 @@ import pandas as pd
 import pytest
 
 from quasi.attitude import GRAVITY, body_rates, from_euler, rotate_inverse
+from quasi.errors import cautions
 from quasi.importing import flight as importing
 
 GYRO, FORCE, Q = ("p", "q", "r"), ("ax", "ay", "az"), ("qw", "qx", "qy", "qz")
@@ -88,3 +89,28 @@ def test_a_hover_says_nothing_of_times_and_axes(logged, tmp_path):
     still |= {"ax": rng.normal(0.0, 0.1, n), "ay": rng.normal(0.0, 0.1, n), "az": rng.normal(-GRAVITY, 0.1, n)}
     still |= {"qw": np.ones(n), "qx": np.zeros(n), "qy": np.zeros(n), "qz": np.zeros(n)}
     assert contradictions(still, tmp_path) == []
+
+
+def new_cautions(columns, logged, folder):
+    """Cautions that the import of `columns` has beyond those of the flight as it was logged."""
+    found = []
+    for values in (columns, logged):
+        pd.DataFrame(values).to_csv(folder / "log.csv", index=False)
+        config = {"table columns": {"time": "t", "sources": [{"name": "log", "columns": {n: n for n in ALL}}]}}
+        asked = {"flight": "made", "quadrotor": "made", "flight controller": "table", "capture": None}
+        asked |= {"onboard": str(folder / "log.csv")}
+        _, about = importing.import_flight(asked, config, {"resampling rate": RATE, "use onboard attitude": True})
+        found.append(cautions(about["notes"]))
+    return [c for c in found[0] if c not in found[1]]
+
+
+def test_a_position_that_jumps_and_stays_there_is_reported_with_its_time(logged, tmp_path):
+    jumped = logged | {"x": logged["x"] + 1.0 * (logged["t"] > 15.0)}
+    [found] = new_cautions(jumped, logged, tmp_path)
+    assert " 1 m at 15.0 s" in found
+
+
+def test_late_samples_of_a_position_are_no_jump(logged, tmp_path):
+    rows = np.arange(len(logged["t"]))
+    rows[1500:1515] = 1500  # 0.15 s without a new one
+    assert new_cautions(logged | {n: logged[n][rows] for n in PLACE}, logged, tmp_path) == []
