@@ -154,6 +154,25 @@ def check_length_bounds(bounds: tuple[float, float] | None, position: str) -> li
     return check_length_ratio(2.0 / sum(bounds), position)
 
 
+def check_delay(delay: tuple[str, float] | None, position: str) -> list[Contradiction]:
+    """delay  ("path" or "accelerometer", s by which it is late) as `path_errors.find_delay` has it, None for none"""
+    if delay is None:
+        return []
+    late = position.rpartition(" ")[2] if delay[0] == "path" else "accelerometer"
+    how = f"the {late} is {abs(delay[1]):.2f} s {'late' if delay[1] > 0.0 else 'early'}"
+    text = _contradict("accelerometer", position, how, "check the time stamps of both")
+    return [Contradiction(("accelerometer", position), f"delay of the {late}", delay[1], 0.0, "s", text)]
+
+
+def check_velocity_axes(in_body: bool, velocity: str) -> list[Contradiction]:
+    """in_body  whether a velocity that is stated in the earth's axes fits the accelerometer in the body's"""
+    if not in_body:
+        return []
+    how = "its values fit the accelerometer in the body's axes, and are read as in the earth's"
+    text = _contradict("accelerometer", velocity, how, "correct the frame of the velocity's columns")
+    return [Contradiction(("accelerometer", velocity), "frame", 1.0, 0.0, "1", text)]
+
+
 def check_residual(residual: np.ndarray | None, attitude: str | None, position: str) -> list[Contradiction]:
     """residual  (3,) m/s2, body FRD, that the accelerometer measures beyond what attitude and motion need, or None
 

@@ -19,6 +19,7 @@ LONGEST_SWAP = 2.0  # s; a piece longer than this is believed, and so is what fo
 SHORTEST_HOLD = 0.05  # s that a pose is held at least, and
 FEWEST_REPEATS = 3  # how often, to be looked at
 COARSEST_DIGIT = 0.015  # m; positions written more coarsely repeat in flight, too
+USUAL_SCATTERS = 8.0  # times the usual scatter, beyond which a value belongs to no normal distribution
 MISSING = 1.5  # usual steps: a longer one has frames missing, and a swap may end unseen in it
 
 
@@ -115,6 +116,22 @@ def _chain(
     return kept
 
 
+def unflyable_steps(t: np.ndarray, x: np.ndarray, q: np.ndarray, turns: bool) -> tuple[np.ndarray, float, float]:
+    """True for the steps (n - 1,) of a path that cannot be flown; the noise of its positions, m, and attitudes, rad.
+
+    t (n,) s; x (n, 3) m; q (n, 4), which counts where `turns`; contiguous and finite
+    """
+    odd, turned = _steps(t, x, q, turns)
+    usual = np.minimum(dt := np.diff(t), 3 * np.median(dt))
+    # noise of the tracker itself: six times the usual unexpected step
+    floor_x = max(1e-3, 6 * 1.4826 * float(np.median(odd)))
+    floor_q = max(0.02, 6 * 1.4826 * float(np.median(turned)))
+    cut = odd > floor_x + 2.0 * LARGEST_FLOWN_ACCELERATION * usual**2
+    if turns:
+        cut |= turned > floor_q + 2.0 * MAX_ANGULAR_ACCELERATION * usual**2
+    return cut, floor_x, floor_q
+
+
 def flyable(t: np.ndarray, position: np.ndarray, quaternion: np.ndarray | None) -> np.ndarray:
     """True for the frames that a flying body can have shown.
 
@@ -126,16 +143,8 @@ def flyable(t: np.ndarray, position: np.ndarray, quaternion: np.ndarray | None) 
         return np.ones(n, bool)
     turns = quaternion is not None
     q = np.ascontiguousarray(quaternion) if turns else np.zeros((1, 4))
-    x = np.ascontiguousarray(position)
-    odd, turned = _steps(t, x, q, turns)
-    dt = np.diff(t)
-    usual = np.minimum(dt, 3 * np.median(dt))
-    # noise of the tracker itself: six times the usual unexpected step
-    floor_x = max(1e-3, 6 * 1.4826 * float(np.median(odd)))
-    floor_q = max(0.02, 6 * 1.4826 * float(np.median(turned)))
-    cut = odd > floor_x + 2.0 * LARGEST_FLOWN_ACCELERATION * usual**2
-    if turns:
-        cut |= turned > floor_q + 2.0 * MAX_ANGULAR_ACCELERATION * usual**2
+    x, dt = np.ascontiguousarray(position), np.diff(t)
+    cut, floor_x, floor_q = unflyable_steps(t, x, q, turns)
     if not cut.any():
         return np.ones(n, bool)
     edges = np.flatnonzero(cut | (dt > MISSING * np.median(dt)))
@@ -222,7 +231,7 @@ def spikes(values: np.ndarray, largest_step: float) -> np.ndarray:
     window = np.lib.stride_tricks.sliding_window_view(padded, 7)
     middle = np.median(window, axis=1)
     away = np.abs(v - middle)
-    bound = np.maximum(largest_step, 8 * 1.4826 * np.median(away))
+    bound = np.maximum(largest_step, USUAL_SCATTERS * 1.4826 * np.median(away))
     suspect = away > bound
     for i in np.flatnonzero(suspect):
         left = next((v[j] for j in range(i - 1, max(-1, i - 5), -1) if not suspect[j]), None)

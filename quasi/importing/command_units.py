@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from quasi.errors import Caution, DataError
+from quasi.errors import Caution, DataError, add_caution
 
 # unit: (idle end, full end) of the motor output range
 RANGES = {
@@ -67,6 +67,7 @@ def scale_commands(
             notes.append(
                 f"{path}: the unit of the motor commands was recognised as {recognised}: {low:g} is idle, {high:g} full"
             )
+    _report_unlikely_units(values, units, path, notes)
     found, beyond, total = {}, 0, 0
     for name, column in values.items():
         shares = to_shares(column, units[name] or recognised)
@@ -82,3 +83,22 @@ def scale_commands(
         )
         notes.append(Caution(sentence) if beyond > FEW * total else sentence)
     return found
+
+
+def _report_unlikely_units(
+    values: Mapping[str, np.ndarray], units: Mapping[str, str | None], path: Path, notes: list[str]
+) -> None:
+    """A note where the commands fill the range of another unit than the one stated."""
+    for unit in {unit for unit in units.values() if unit is not None}:
+        together = np.concatenate([column for name, column in values.items() if units[name] == unit])
+        try:
+            likely = recognise_unit(together, str(path))
+        except DataError:
+            continue
+        if likely != unit:
+            top = float(np.nanpercentile(together, TOP))
+            add_caution(
+                notes,
+                f"{path}: the motor commands reach {top:.4g}, {100 * float(to_shares(top, unit)):.2g} % of the range "
+                f"of the stated unit {unit}, as if their unit were {likely}; correct 'unit' in 'table columns'",
+            )

@@ -182,6 +182,37 @@ class ForceComparison(NamedTuple):
     misread: str | None
 
 
+class SharedMotion(NamedTuple):
+    """A path, an attitude and an accelerometer at the same times, at COMPARED_RATE and low frequency.
+
+    acceleration  (k, 3) of the path, m/s2 earth NED; attitude (k, 4); force  (k, 3) measured, m/s2 body FRD;
+    good (k,) bool  where all of them are known
+    """
+
+    acceleration: np.ndarray
+    attitude: np.ndarray
+    force: np.ndarray
+    good: np.ndarray
+
+
+def align_forces(
+    onboard: Motion, t: np.ndarray, path: np.ndarray, t_attitude: np.ndarray, attitude: np.ndarray, derivatives: int
+) -> SharedMotion | None:
+    """The three on one grid; None where they share less than two seconds. Arguments as `compare_forces`."""
+    fine = np.isfinite(attitude).all(axis=1)
+    felt = uniform(onboard.t, onboard.specific_force, COMPARED_RATE, COMPARED_BAND)
+    moved = _slow_acceleration(t, path, derivatives)
+    if felt is None or moved is None or np.count_nonzero(fine) < 8:
+        return None
+    at, acceleration, good = moved
+    q_t = t_attitude[fine]
+    good = good & (at > max(felt.t[0], q_t[0]) + 1.0) & (at < min(felt.t[-1], q_t[-1]) - 1.0)
+    if np.count_nonzero(good) < 2 * COMPARED_RATE:
+        return None
+    q = interpolate(attitude[fine], q_t, at)
+    return SharedMotion(acceleration, q, interpolate_columns(at, felt.t, felt.values), good)
+
+
 def compare_forces(
     onboard: Motion,
     t: np.ndarray,
@@ -198,20 +229,12 @@ def compare_forces(
     free_heading  whether the attitude's heading may differ from the position's axes. None where they share less than
     two seconds.
     """
-    fine = np.isfinite(attitude).all(axis=1)
-    felt = uniform(onboard.t, onboard.specific_force, COMPARED_RATE, COMPARED_BAND)
-    moved = _slow_acceleration(t, position, derivatives)
-    if felt is None or moved is None or np.count_nonzero(fine) < 8:
+    shared = align_forces(onboard, t, position, t_attitude, attitude, derivatives)
+    if shared is None:
         return None
-    gravity, q_t = np.array([0.0, 0.0, GRAVITY]), t_attitude[fine]
-    at, acceleration, good = moved
-    good = good & (at > max(felt.t[0], q_t[0]) + 1.0) & (at < min(felt.t[-1], q_t[-1]) - 1.0)
-    if np.count_nonzero(good) < 2 * COMPARED_RATE:
-        return None
-    at, acceleration = at[good], acceleration[good]
-    q = interpolate(attitude[fine], q_t, at)
+    gravity = np.array([0.0, 0.0, GRAVITY])
+    acceleration, q, there = (v[shared.good] for v in (shared.acceleration, shared.attitude, shared.force))
     needed = rotate_inverse(q, acceleration - gravity)
-    there = interpolate_columns(at, felt.t, felt.values)
     sensed = rotate(q, there) + gravity
     found = {n: _slopes(there[:, k], needed[:, k], LEAST_MOTION) for k, n in enumerate(("ax", "ay", "az"))}
     both = sensed - sensed.mean(axis=0), acceleration - acceleration.mean(axis=0)

@@ -7,17 +7,20 @@ import numpy as np
 
 from quasi.attitude import interpolate
 from quasi.importing.clocks.synchronisation import Motion, Synchronisation
-from quasi.importing.contradictions import compare_forces, exchanged_axes, length_ratio, rate_gains
+from quasi.importing.contradictions import align_forces, compare_forces, exchanged_axes, length_ratio, rate_gains
 from quasi.importing.onboard_log import POSITION_COLUMNS, QUATERNION, Onboard
-from quasi.importing.series import Series
+from quasi.importing.path_errors import find_delay, is_velocity_of_body
+from quasi.importing.series import Series, Track
 from quasi.sensor_limits import (
     Contradiction,
     check_axis_order,
+    check_delay,
     check_directions,
     check_length_bounds,
     check_length_ratio,
     check_rate_gains,
     check_residual,
+    check_velocity_axes,
 )
 
 CAPTURED, ONBOARD_ATTITUDE, CAPTURED_POSITION = "captured attitude", "on-board attitude", "captured position"
@@ -65,7 +68,7 @@ def _check_path(
 ) -> list[Contradiction]:  # fmt: skip
     """Accelerometer against each attitude and a path: a position or velocity (n, 3), named by `path`.
 
-    sized  whether the size of its accelerations is compared as well
+    sized  whether the size and time of its accelerations are compared as well
     """
     found = []
     if not attitudes:  # levelled by the accelerometer: only the vertical says something
@@ -80,5 +83,8 @@ def _check_path(
         if forces is not None:
             found += check_residual(forces.residual, name, path) or check_directions(forces, name, path)
             if sized and not found:
-                found += check_length_bounds(forces.lengths, path)
+                shared = align_forces(motion, t, values, q_t, attitude, derivatives)
+                found += check_delay(find_delay(shared), path) or check_length_bounds(forces.lengths, path)
+            if sized and not found and path == ONBOARD_VELOCITY:
+                found += check_velocity_axes(is_velocity_of_body(motion, Track(t, values), q_t, attitude), path)
     return found

@@ -20,6 +20,7 @@ from quasi.importing.contradictions import refuse_wrong_lengths, refuse_wrong_ra
 from quasi.importing.cross_checks import cross_check
 from quasi.importing.imu_and_telemetry import lever_arm_term, remove_telemetry_age
 from quasi.importing.onboard_log import POSITION_COLUMNS, QUATERNION, Onboard, gather, read_onboard
+from quasi.importing.path_errors import SAME_CLOCK_LAG
 from quasi.importing.readers.captured_body import refuse_beyond_rooms
 from quasi.importing.readers.reader import Request
 from quasi.importing.readers.registry import read_capture
@@ -32,7 +33,6 @@ from quasi.project import configuration
 from quasi.sensor_limits import to_plain
 from quasi.tables import sha256_of
 
-SAME_CLOCK_LAG = 1.0  # s, the most that a capture logged on board may be late
 SCHEMA = "quasi.imported/1"
 
 

@@ -17,6 +17,7 @@ from quasi.importing.clocks.synchronisation import Motion
 from quasi.importing.clocks.telemetry import AGES
 from quasi.importing.contradictions import rates_explained, refuse_wrong_rates, velocity_explained
 from quasi.importing.onboard_attitude import estimate_attitude
+from quasi.importing.path_errors import find_jumps
 from quasi.importing.readers.reader import Request
 from quasi.importing.readers.registry import read_log
 from quasi.importing.reconstruction import Completed, complete_sensors
@@ -194,6 +195,14 @@ def gather(
                 f"{100 * max(0.0, explained):.0f} % of it); check the unit and axes of both",
             )
     zero = gyro.t[0]
+    jumps = find_jumps(position, velocity) if captured is None and position is not None and velocity is not None else []
+    if jumps:
+        when, size = max(jumps, key=lambda jump: jump[1])
+        add_caution(
+            notes,
+            f"{where}: the on-board position jumps by {size:.2g} m at {when - zero:.1f} s, which its velocity does not "
+            f"({len(jumps)} such steps); look for a reset of the estimate",
+        )
 
     def moved(track: Track | None, delay: float = 0.0) -> Track | None:
         return None if track is None else Track(track.t - zero - delay, track.values)

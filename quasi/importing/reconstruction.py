@@ -30,6 +30,7 @@ EULER_ANGLES = ("roll", "pitch", "yaw")
 # share of g below which the direction of the specific force is that of its errors: 0.5 m/s2 of error is 10 deg there
 MIN_FORCE_SHARE = 0.3
 CROSSOVER = 1.0  # Hz, below which the velocity gives the acceleration: on CrazyPAD an offset of 0.7 deg in roll goes
+DIFFERENTIATED = ("the position", "the velocity")  # sources of an acceleration that nothing measured
 MIN_TRUSTED = 0.9  # share of the log around which the velocity has no gap
 MIN_SAMPLES = 20  # as of a sensor's own
 
@@ -96,7 +97,10 @@ def _completed_by_log(logged: Completed, series: Mapping[str, Series], bandwidth
             )
         turned = interpolate(attitude.values, attitude.t, acceleration.t)
         felt = acceleration.values - np.array([0.0, 0.0, GRAVITY])
-        force, made["accelerometer"] = Track(acceleration.t, rotate_inverse(turned, felt)), about
+        force = Track(acceleration.t, rotate_inverse(turned, felt))
+        if "attitude" not in made and about["from"] in DIFFERENTIATED and about["covers"] == NOISE:
+            about = _with_lateral_error(about, force)
+        made["accelerometer"] = about
     if gyro is None:
         gyro, made["gyro"] = _rates(attitude, bandwidth, made.get("attitude"))
     return Completed(gyro, force, attitude, made)
@@ -157,11 +161,11 @@ def _acceleration(series: Mapping[str, Series], bandwidth: float) -> tuple[Track
     """Acceleration over ground (n, 3), m/s2, earth NED, and how it was made; None where nothing serves."""
     linear, speed = _find(series, ("linear_ax", "linear_ay", "linear_az")), _find(series, ("vx", "vy", "vz"))
     place = _find(series, ("x", "y", "z"))
-    source, at, covers = "the position", place, NOISE
+    source, at, covers = DIFFERENTIATED[0], place, NOISE
     if linear is not None:
         source, at = "the logged acceleration", linear
     elif speed is not None:
-        source, at = "the velocity", speed
+        source, at = DIFFERENTIATED[1], speed
     if at is None:
         return None, {}
     rate = 1.0 / float(np.median(np.diff(at.t)))
@@ -189,6 +193,16 @@ def _acceleration(series: Mapping[str, Series], bandwidth: float) -> tuple[Track
         values, _ = velocity(place.t, first, place.t, bandwidth)
         error = derivative_error(place, rate, bandwidth, 2)
     return Track(at.t, values), origin_of(source, bandwidth, rate, error, "m/s2", covers)
+
+
+def _with_lateral_error(about: Mapping[str, Any], force: Track) -> dict[str, Any]:
+    """`about` with the force across the thrust in the standard error: rotors make none, so it is drag or error.
+
+    An estimate of position or velocity errs smoothly, which no noise above the bandwidth shows. force (n, 3) body FRD
+    """
+    across = typical_size(force.values[:, :2]) / ONE_SIGMA
+    error = float(np.hypot(about["std"]["value"], across))
+    return {**about, "std": {**about["std"], "value": error}, "covers": "noise, and the force across the thrust"}
 
 
 def _disagreement(speed: Track, place: Track, bandwidth: float) -> float:

@@ -14,7 +14,7 @@ from made_model import document
 
 from quasi.airframe import read_airframe
 from quasi.attitude import GRAVITY
-from quasi.errors import ConfigError, DataError, ShapeError
+from quasi.errors import ConfigError, DataError, ShapeError, cautions
 from quasi.filtering.rotor_speeds import add_estimated_speeds, trim_of
 from quasi.identification import joint_fit
 from quasi.identification.flight_scatter import factor_error, variance_between
@@ -411,3 +411,15 @@ def test_the_form_of_a_taught_map_is_that_which_fits_whatever_the_noise_and_the_
         made[key] = pd.DataFrame(frame)
     found = teach_map(made, {k: np.ones(10000, bool) for k in made}, CANDIDATES)
     assert found["form"] == "linear" and found["time constant"]["value"] == pytest.approx(0.04, abs=0.002)
+
+
+@pytest.mark.parametrize(("unit", "top", "known"), [
+    ("1/65535", 100.0, False), ("%", 1.0, False), ("1/65535", 2000.0, False), ("1/65535", 60000.0, True),
+    ("%", 95.0, True), ("1", 0.9, True), ("1000..2000", 1950.0, True),
+])  # fmt: skip
+def test_a_stated_unit_of_commands_that_they_hardly_use_is_reported(unit, top, known):
+    low = 1000.0 if 1000.0 < top <= 2000.0 else 0.2 * top
+    notes = []
+    commands = {f"command{i}": np.linspace(low, top, 500) for i in range(1, 5)}
+    scale_commands(commands, dict.fromkeys(commands, unit), Path("log.csv"), notes)
+    assert bool(cautions(notes)) != known

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 from quasi.attitude import body_rates
 from quasi.errors import DataError, cautions
 from quasi.importing.clocks.clock_fit import ClockFit, Uniform, correlation, peaks
-from quasi.importing.clocks.synchronisation import Motion, _turned_between, synchronise
+from quasi.importing.clocks.synchronisation import Motion, _describe_mix, _turned_between, synchronise
 from quasi.importing.onboard_attitude import estimate_attitude
 
 BOTH = ["pitch", "yaw"]
@@ -216,3 +216,12 @@ def test_a_match_beyond_the_lag_limit_is_named_with_its_lag():
     assert "'max permitted lag for optitrack'" in words
     within = synchronise(onboard, capture, BOTH, 25.0, "flight")
     assert not any("beyond the limit" in note for note in within.notes)
+
+
+@pytest.mark.parametrize(("size", "degrees", "explained", "named"), [
+    (0.59, 22.0, 0.42, False), (0.59, 22.0, 0.97, True), (0.9, 90.0, 0.42, True),
+])  # fmt: skip
+def test_a_scale_that_the_noise_of_the_capture_explains_is_not_named(size, degrees, explained, named):
+    turn = Rotation.from_euler("z", degrees, degrees=True).as_matrix()
+    clock = ClockFit(0.0, 0.0, 0.0, 0.01, 0.0, explained, {}, 20.0, size * turn)
+    assert bool(_describe_mix([clock], "body rates", np.ones(3), True)) == named

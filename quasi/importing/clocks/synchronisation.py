@@ -15,6 +15,7 @@ import numpy as np
 from quasi.attitude import GRAVITY, body_rates, continuous, interpolate, rotate, rotate_inverse, to_euler
 from quasi.errors import DataError, add_caution
 from quasi.importing.clocks.clock_fit import ClockFit, Pair, Uniform, correlation, fit, peaks, uniform
+from quasi.sensor_limits import AXES_ANGLE, RATE_GAIN
 
 SIGNALS = ("roll", "pitch", "yaw", "p", "q", "r", "ax", "ay", "az")
 GRID = 200.0  # Hz, of the signals compared
@@ -196,10 +197,13 @@ def _describe_mix(clocks: Sequence[ClockFit], signals: str, spread: np.ndarray, 
     away = np.abs(best.mix / size - u @ vt) * spread
     if np.max(away) >= LARGEST_TURN * np.max(spread):  # no turn: records of different flights
         return ""
-    angle = np.degrees(np.arccos(np.clip((np.trace(u @ vt) - 1.0) / 2.0, -1.0, 1.0)))
+    angle = float(np.arccos(np.clip((np.trace(u @ vt) - 1.0) / 2.0, -1.0, 1.0)))
+    # noise of the capture makes the size too small, at most by the share that is explained
+    if size / best.explained >= RATE_GAIN[0] and size <= RATE_GAIN[1] and angle <= AXES_ANGLE:
+        return ""
     return (
         f"they would go together ({100 * best.explained:.0f} % explained) if {signals} of the log were {size:.2g} "
-        f"times as large and turned by {angle:.0f} deg: check units and axes of both, or "
+        f"times as large and turned by {np.degrees(angle):.0f} deg: check units and axes of both, or "
     )
 
 
