@@ -88,15 +88,15 @@ def scale_commands(
 def _report_unlikely_units(
     values: Mapping[str, np.ndarray], units: Mapping[str, str | None], path: Path, notes: list[str]
 ) -> None:
-    """A note where the commands fill the range of another unit than the one stated."""
+    """A note where the commands lie in the range of the stated unit, and fill that of another one."""
     for unit in {unit for unit in units.values() if unit is not None}:
         together = np.concatenate([column for name, column in values.items() if units[name] == unit])
         try:
             likely = recognise_unit(together, str(path))
         except DataError:
             continue
-        if likely != unit:
-            top = float(np.nanpercentile(together, TOP))
+        top = float(np.nanpercentile(together, TOP))
+        if likely != unit and top <= RANGES[unit][1]:
             add_caution(
                 notes,
                 f"{path}: the motor commands reach {top:.4g}, {100 * float(to_shares(top, unit)):.2g} % of the range "

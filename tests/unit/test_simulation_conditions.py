@@ -167,7 +167,7 @@ def test_extensions_change_rotors_and_wind_and_unknown_states_are_refused_by_nam
     other = Model({**model.document, "extensions": extensions})
     setup = make_setup({"model": {"model ID": "made"}, "wind": {"steady": [0, 2, 0]}}, other)
     loop = setup.loop_parameters
-    np.testing.assert_array_equal(loop.body[26:34], 0.05)
+    np.testing.assert_allclose(loop.body[26:34], 0.05, rtol=1e-14)
     assert loop.drive.delay == 0.012
     np.testing.assert_array_equal(loop.wind[:3], [1.0, 2.0, -0.5])
     own = make_setup(
