@@ -20,6 +20,7 @@ FASTEST_ROTOR, FULLEST, HIGHEST_VOLTAGE = 8000.0, 1.5, 100.0  # rad/s, share, V:
 # times, between gyro and attitude: beyond sensors' scales; beyond any slip but units
 WRONG_RATES, REFUSED_RATES = (3.0, 30.0)
 LEAST_CORRELATION = 0.6  # correlation from which body rates are those of an attitude but for a factor
+MAX_ERROR_LEFT = 0.25  # of the error's variance that another reading may leave: half of its size
 STRETCH = 5.0  # s, of which each is asked by itself: one reset of an estimate is no wrong unit
 LEAST_MOTION = 0.2  # m/s2, rms acceleration below which nothing is judged
 
@@ -260,7 +261,7 @@ def _misread(needed: np.ndarray, sensed: np.ndarray, otherwise: Mapping[str, np.
         a, b = reading - reading.mean(axis=0), needed - needed.mean(axis=0)
         moving = min(np.mean(np.sum(a * a, axis=1)), np.mean(np.sum(b * b, axis=1))) > LEAST_MOTION**2
         alike = np.sum(a * b) > LEAST_CORRELATION * np.sqrt(np.sum(a * a) * np.sum(b * b))
-        if moving and alike and np.sum(np.var(reading - needed, axis=0)) < 0.25 * own:
+        if moving and alike and np.sum(np.var(reading - needed, axis=0)) < MAX_ERROR_LEFT * own:
             return name
     return None
 

@@ -11,6 +11,7 @@ from quasi.importing.contradictions import (
     COMPARED_RATE,
     LEAST_CORRELATION,
     LEAST_MOTION,
+    MAX_ERROR_LEFT,
     SharedMotion,
     align_forces,
 )
@@ -18,7 +19,6 @@ from quasi.importing.series import Track, interpolate_columns
 from quasi.sensor_limits import LENGTH_RATIO, MIN_BIAS_SIGMAS
 
 SAME_CLOCK_LAG = 1.0  # s, the most that anything logged on board, a capture too, may be late
-MAX_ERROR_LEFT = 0.25  # of the error's variance, as of `contradictions.ForceComparison.misread`: half of its size
 _G = np.array([0.0, 0.0, GRAVITY])
 
 
