@@ -64,7 +64,8 @@ def test_a_second_run_names_the_first_and_removes_its_lock_only_when_that_is_dea
     )
     try:
         locks, until = lab.folder / ".snakemake/locks", time.monotonic() + 60.0
-        while not (locks.is_dir() and any(locks.iterdir())):
+        # a lock is two files, each made empty and then filled: a process stopped in between holds no lock yet
+        while not (locks.is_dir() and sum(p.stat().st_size > 0 for p in locks.iterdir()) == 2):
             assert first.poll() is None and time.monotonic() < until
             time.sleep(0.05)
         first.send_signal(signal.SIGSTOP)  # it stays alive and keeps its lock
