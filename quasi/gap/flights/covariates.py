@@ -2,6 +2,7 @@
 
 import itertools
 from collections.abc import Mapping, Sequence
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -105,24 +106,27 @@ class Basis(NamedTuple):
     steps: list[float]
     mean: np.ndarray | float = 0.0
 
-    def functions(self, flight: Evidence) -> np.ndarray:
-        """(n, L) values of all functions on a flight."""
-        known, columns = places(flight), [np.ones(len(flight))]
+    def functions(self, flight: Evidence, which: Sequence[int] | None = None) -> np.ndarray:
+        """(n, L) values of all functions on a flight, or (n, m) of those in `which` (m,)."""
+        known, made = places(flight), [lambda: np.ones(len(flight))]
         scaled = {}
         for where, (low, high) in self.scales.items():
             if where == HEADING:
                 yaw = known[where]
-                columns += [np.sin(yaw), np.cos(yaw), np.sin(2 * yaw), np.cos(2 * yaw)]
+                made += [partial(wave, k * yaw) for k in (1, 2) for wave in (np.sin, np.cos)]
                 continue
-            x = np.clip(2.0 * (known[where] - low) / (high - low) - 1.0, -1.0, 1.0)
-            scaled[where] = x
-            columns += [x, 1.5 * x**2 - 0.5, 2.5 * x**3 - 1.5 * x]
+            x = scaled[where] = np.clip(2.0 * (known[where] - low) / (high - low) - 1.0, -1.0, 1.0)
+            made += [partial(np.copy, x), lambda x=x: 1.5 * x**2 - 0.5, lambda x=x: 2.5 * x**3 - 1.5 * x]
         if {"room x", "room y"} <= set(scaled):
-            columns.append(scaled["room x"] * scaled["room y"])
+            made.append(lambda: scaled["room x"] * scaled["room y"])
             x, y = known["room x"], known["room y"]
-            columns += [np.exp(-((x - a) ** 2 + (y - b) ** 2) / s**2) for a, b, s in self.spots]
-        columns += [(flight.t > step).astype(float) for step in self.steps]
-        return np.stack(columns, axis=1) - self.mean
+            made += [lambda a=a, b=b, s=s: np.exp(-((x - a) ** 2 + (y - b) ** 2) / s**2) for a, b, s in self.spots]
+        made += [lambda step=step: flight.t > step for step in self.steps]
+        use = range(len(made)) if which is None else which
+        values = np.empty((len(flight), len(use)))
+        for column, k in zip(values.T, use):
+            column[:] = made[k]()
+        return values - np.broadcast_to(self.mean, len(made))[list(use)]
 
 
 def basis_of(flights: Sequence[Evidence], judges: Sequence[Evidence] = ()) -> Basis:

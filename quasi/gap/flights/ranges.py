@@ -24,7 +24,7 @@ def find_ranges(
     if choice.where == EVERYWHERE:
         return []
     use = [f for f, flag in zip(flights, compared) if flag] or list(flights)
-    function = np.concatenate([basis.functions(f)[:, list(choice.which)] @ value for f in use])
+    function = np.concatenate([basis.functions(f, choice.which) @ value for f in use])
     function = np.abs(function - function.mean())
     known = [places(f) for f in use]
     if choice.where == ROOM_PLACE and choice.at:
@@ -74,7 +74,7 @@ def profile(
         else:
             along = known[choice.where]
         along = np.angle(np.exp(1j * along)) if choice.where == HEADING else along
-        function = basis.functions(flight)[:, list(choice.which)] @ value
+        function = basis.functions(flight, choice.which) @ value
         block = number * 10_000 + ((flight.t - flight.t[0]) / 5.0).astype(int)
         parts.append(
             pd.DataFrame({"at": along, "mean": rest - rest.mean(), "fit": function - function.mean(), "block": block})

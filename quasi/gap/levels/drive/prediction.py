@@ -223,10 +223,11 @@ class Prediction:
                 weights = np.zeros(self.every * (len(self.memory) - 1) + 1)
                 weights[:: self.every] = self.memory
                 made = lfilter(weights, [1.0], self.of_commands(i, tried))
+                square = made**2
                 for k, shift in enumerate(late):
                     now = slice(max(shift, 0), len(made) + min(shift, 0))
                     then = slice(max(-shift, 0), len(made) - max(shift, 0))
-                    left[k] += known[now] @ made[then] ** 2 - 2.0 * wanted[i, now] @ made[then]
+                    left[k] += known[now] @ square[then] - 2.0 * wanted[i, now] @ made[then]
             if left.min() < least:
                 best, least = np.concatenate([[lag, lag, late[np.argmin(left)] * self.dt], x[3:]]), left.min()
         return best
@@ -237,9 +238,7 @@ class Prediction:
 
     def _new(self, values: np.ndarray, memory: np.ndarray) -> np.ndarray:
         """Values (rows, R) or (rows, R, p) with what a memory predicts taken off (m, ...)."""
-        rotors = values.shape[1]
-        whitener = Whitener(np.tile(memory, (rotors, 1)), np.ones(rotors))
-        new = whiten(values.reshape(*values.shape[:2], -1), self.breaks, whitener)[0]
+        new = whiten(values.reshape(len(values), 1, -1), self.breaks, Whitener(memory[None], np.ones(1)))[0]
         return new.reshape(-1, *values.shape[1:])
 
     def _unforeseen(self, slopes: np.ndarray, plain: np.ndarray) -> np.ndarray:

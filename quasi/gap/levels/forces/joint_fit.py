@@ -131,9 +131,8 @@ def residual_of(flight: Evidence, joint: Joint, vehicle: Vehicle) -> np.ndarray:
     for effect, _, _, own in joint.causes:
         columns = columns_of(effect, seen[effect.id], vehicle, bent.get(effect.id, {}))
         left = left - sum(columns[n] * v for n, v in own.items())
-    functions = joint.basis.functions(flight)
     for place, value in joint.functions:
-        left = left - flight.only(AXES[place.channel], functions[:, list(place.choice.which)] @ value)
+        left = left - flight.only(AXES[place.channel], joint.basis.functions(flight, place.choice.which) @ value)
     return left
 
 

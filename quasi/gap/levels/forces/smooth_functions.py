@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
-from scipy.stats import chi2
+from scipy.special import chdtrc
 
 from quasi.gap.effect import Effect, Vehicle
 from quasi.gap.flights.covariates import Basis, Choice, basis_of
@@ -12,7 +12,7 @@ from quasi.gap.flights.evidence import Evidence
 from quasi.gap.levels.forces.design import BAND, MOST_STRETCHES, ORDER, Design, gather_design, joined
 from quasi.gap.statistics.blocks import BLOCK
 from quasi.gap.statistics.candidates import Candidate, Columns, Test
-from quasi.gap.statistics.mixed import MixedModel, marginal
+from quasi.gap.statistics.mixed import RIDGE, MixedModel, marginal
 from quasi.gap.statistics.whitening import channel_grams, thin
 from quasi.model.model import AXES
 
@@ -176,12 +176,13 @@ def select(
     choices = [(k, choice) for k in range(6) for choice in grounds.basis.choices]
     level, stages = level_of(grounds, compared, rate), stages_of(compared)
     settled: list[tuple[Place, Test]] = []
+    sums = _sums(grounds, compared, given)
     for since in stages:
         found = [place for place, _ in settled]
         while len(found) < MOST_FUNCTIONS:
             taken = {(p.channel, p.choice.where) for p in found}
             offered = [Place(k, c, since) for k, c in choices if (k, c.where) not in taken]
-            certain = _certain(grounds, compared, given, found, offered)
+            certain = _certain(sums, found, offered)
             open_ = sorted((p for p in offered if certain[p] < level), key=certain.get)
             tests = [(p, tested(grounds, compared, given, found, p)) for p in open_]
             best = min(tests, key=lambda pair: pair[1].p, default=None)
@@ -199,60 +200,71 @@ def select(
     return settled
 
 
-def _certain(
-    grounds: Grounds,
-    compared: Sequence[bool],
-    given: Sequence[Candidate],
-    found: Sequence[Place],
-    offered: Sequence[Place],
-) -> dict[Place, float]:
-    """Probability of nothing of each offer if flights did not differ: a lower bound, so that few need the full test."""
+class _Sums(NamedTuple):
+    """Cross-products (Q, Q) of one channel over all flights as if these did not differ, columns scaled to 1: the
+    target, `known` columns of terms and causes given, then the functions of all flights, and of the compared ones.
+    """
+
+    total: np.ndarray
+    known: int
+    width: int
+    target: float  # size of the target
+
+
+def _sums(grounds: Grounds, compared: Sequence[bool], given: Sequence[Candidate]) -> list[_Sums]:
+    """Of each channel, with its nuisances integrated out."""
     layout, size = grounds.study.columns, len(grounds.study.names)
-    base = [*layout.shared]
-    alike = [*base, *(layout.causes[g.cause][k] for g in given if g.since == "always" for k in g.which)]
+    width = grounds.parts[0].shape[-1] - size
+    alike = [*layout.shared, *(layout.causes[g.cause][k] for g in given if g.since == "always" for k in g.which)]
     new = [layout.causes[g.cause][k] for g in given if g.since == "changed" for k in g.which]
+    use = [0, *alike, *new, *(size + k for k in range(width))]
+    known = len(alike) + len(new)
+    totals = np.zeros((6, 1 + known + 2 * width, 1 + known + 2 * width))
+    for part, flag in zip(grounds.parts, compared):
+        summed = part.sum(axis=0)
+        gram = np.zeros((size + width, size + width))
+        gram[:size, :size] = summed[:, :size, :size].sum(axis=0)
+        for channel, total in enumerate(totals):
+            gram[size:, :] = summed[channel][size:, :]
+            gram[:, size:] = summed[channel][:, size:]
+            whole = marginal(gram, layout.nuisance, layout.spread)[np.ix_(use, use)]
+            if not flag:
+                off = slice(1 + len(alike), 1 + known)
+                whole[off, :] = whole[:, off] = 0.0
+            # the functions twice: of all flights, and of the compared ones alone
+            own = slice(1 + known, None)
+            again, corner = whole[:, own] * flag, whole[own, own] * flag
+            total += np.block([[whole, again], [again.T, corner]])
+    found = []
+    for total in totals:
+        scale = np.sqrt(np.maximum(np.diag(total), 1e-300))
+        found.append(_Sums(total / np.outer(scale, scale), known, width, float(scale[0])))
+    return found
+
+
+def _without(gram: np.ndarray, columns: Sequence[int]) -> np.ndarray:
+    """Cross-products once some columns are fitted."""
+    inner = gram[np.ix_(columns, columns)] + RIDGE * np.eye(len(columns))
+    return gram - gram[:, columns] @ np.linalg.solve(inner, gram[columns])
+
+
+def _certain(sums: Sequence[_Sums], found: Sequence[Place], offered: Sequence[Place]) -> dict[Place, float]:
+    """Probability of nothing of each offer if flights did not differ: a lower bound, so that few need the full test."""
     result = {}
     for channel in dict.fromkeys(p.channel for p in offered):
-        accepted = [p for p in found if p.channel == channel]
-        width = grounds.parts[0].shape[-1] - size
-        for since in dict.fromkeys(p.since for p in offered):
-            total = 0.0
-            for part, flag in zip(grounds.parts, compared):
-                summed = part.sum(axis=0)
-                gram = np.zeros((size + width, size + width))
-                gram[:size, :size] = summed[:, :size, :size].sum(axis=0)
-                gram[size:, :] = summed[channel][size:, :]
-                gram[:, size:] = summed[channel][:, size:]
-                gram = marginal(gram, layout.nuisance, layout.spread)
-                use = [0, *alike, *new, *(size + k for k in range(width))]
-                whole = gram[np.ix_(use, use)]
-                if not flag:
-                    off = slice(1 + len(alike), 1 + len(alike) + len(new))
-                    whole[off, :] = whole[:, off] = 0.0
-                # the functions twice: of all flights, and of the compared ones alone
-                own = slice(1 + len(alike) + len(new), None)
-                again = whole[:, own] * flag
-                corner = whole[own, own] * flag
-                total = total + np.block([[whole, again], [again.T, corner]])
-            scale = np.sqrt(np.maximum(np.diag(total), 1e-300))
-            total = total / np.outer(scale, scale)
-            start = 1 + len(alike) + len(new)
-            known = list(range(1, start))
-            for p in accepted:
-                shift = width if p.since == "changed" else 0
-                known += [start + k + shift for k in p.choice.which]
-            for p in offered:
-                if p.channel != channel or p.since != since:
-                    continue
-                shift = width if since == "changed" else 0
-                pooled = [start + k for k in p.choice.which] if since == "changed" else []
-                fixed = list(dict.fromkeys([*known, *pooled]))
-                own = [c for c in (start + k + shift for k in p.choice.which) if c not in fixed]
-                inner = total[np.ix_(fixed, fixed)] + 1e-9 * np.eye(len(fixed))
-                use = [0, *own]
-                rest = total[np.ix_(use, use)] - total[np.ix_(use, fixed)] @ np.linalg.solve(
-                    inner, total[np.ix_(fixed, use)]
-                )
-                gain = rest[0, 1:] @ np.linalg.solve(rest[1:, 1:] + 1e-9 * np.eye(len(own)), rest[1:, 0])
-                result[p] = float(chi2.sf(gain * scale[0] ** 2, len(own)))
+        total, count, width, target = sums[channel]
+
+        def columns(place: Place, count: int = count, width: int = width) -> list[int]:
+            return [1 + count + k + (width if place.since == "changed" else 0) for k in place.choice.which]
+
+        known = [*range(1, 1 + count), *(c for p in found if p.channel == channel for c in columns(p))]
+        rest = _without(total, known)
+        for place in (p for p in offered if p.channel == channel):
+            own = [c for c in columns(place) if c not in known]
+            alike = [c - width for c in own if c - width not in known] if place.since == "changed" else []
+            left = rest[np.ix_([0, *alike, *own], [0, *alike, *own])]
+            left = _without(left, range(1, 1 + len(alike)))
+            of = range(1 + len(alike), 1 + len(alike) + len(own))
+            gain = left[0, 0] - _without(left, of)[0, 0]
+            result[place] = float(chdtrc(len(own), max(gain, 0.0) * target**2))
     return result

@@ -118,7 +118,9 @@ def search(
             others = joint_of(grounds, compared, causes, [(p, t) for p, t in found if p != place])
             without, together = (wrench_score(held, lambda f, j=j: residual_of(f, j, vehicle), True).mean()
                                  for j in (others, joint))  # fmt: skip
-            part = material(k, where, max(float(without[k] - together[k]), 0.0), float(without[k]), place.since)
+            # what only balances a cause of a tie, which the extended model does not hold, is no error of that model
+            worst = min(float(without[k]), float(centred[k]))
+            part = material(k, where, max(worst - float(together[k]), 0.0), worst, place.since)
         else:
             slope, _ = slope_of(grounds, compared, judge.parts, joint, place)
             before = float(sides(where)[0][k])
@@ -214,5 +216,5 @@ def _sizes(
     which = list(place.choice.which)
     measure = (lambda v: np.mean(v**2)) if place.choice.where == EVERYWHERE else np.var
     usual = np.mean([measure(b[:, which] @ value) for b, flag in zip(grounds.thinned, compared) if flag])
-    here = np.mean([measure(grounds.basis.functions(f)[:, which] @ value) for f in held])
+    here = np.mean([measure(grounds.basis.functions(f, which) @ value) for f in held])
     return float(np.sqrt(usual)), float(np.sqrt(here))
