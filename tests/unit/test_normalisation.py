@@ -358,3 +358,11 @@ def test_what_the_scheme_makes_constant_or_alike_is_derived_from_the_specificati
     assert len(notes) == 3
     bare, _ = drop_redundant(read_specification({"Fz": section}, "Fz", "s.json", False), SCHEME, AIRFRAME)
     assert "w2_1 + w2_2 + w2_3 + w2_4" in [t.expression for t in bare.fixed]  # it takes the constant's place
+
+
+def test_regressors_with_a_root_of_what_is_positive_in_flight_are_no_multiples_of_each_other():
+    """At random states the voltage is negative too, where its root is no number."""
+    candidates = [{"vars": ["u", "v", "2*u"], "degree": 1, "sets": ["battery_voltage^0.5"]}]
+    specification = read_specification({"Fx": {"candidates": candidates}}, "Fx", "s.json", True)
+    found, _ = drop_redundant(specification, SCHEME, AIRFRAME)
+    assert len(found.candidates) == 2
