@@ -19,6 +19,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import pandas as pd
 
+from quasi.identification.flight_scatter import variance_between
 from quasi.identification.lag_fit import NO_SLOPES, fit_damped, follow
 from quasi.identification.regression import bartlett, memory_windows
 from quasi.tables import TELEMETRY_AGE_REMOVED
@@ -292,10 +293,13 @@ def _reference(flights: Mapping[str, pd.DataFrame], rows: Mapping[str, np.ndarra
 
 
 def _std(values: np.ndarray, errors: np.ndarray) -> list[float]:
-    """Standard errors (4,) of the medians: from the spread over flights where three or more give it, else their own."""
-    if len(values) < 3:
-        return (np.linalg.norm(errors, axis=0) / len(values)).tolist()
-    return (1.2533 * np.std(values, axis=0, ddof=1) / np.sqrt(len(values))).tolist()
+    """Standard errors (4,) of the medians: from the spread over flights where three or more give it. Of two flights
+    their own errors stand, and what the flights differ by beyond these."""
+    own = np.linalg.norm(errors, axis=0) / len(values)
+    if len(values) == 2:
+        between = [variance_between(v, e**2) for v, e in zip(values.T, errors.T)]
+        return np.sqrt(own**2 + np.array(between) / 2.0).tolist()
+    return (own if len(values) < 2 else 1.2533 * np.std(values, axis=0, ddof=1) / np.sqrt(len(values))).tolist()
 
 
 def _spread(values: np.ndarray) -> list[float] | None:
@@ -311,22 +315,23 @@ def _plain(lags: list[Lag]) -> dict[str, Any]:
 
 
 def _map(found: Mapping[str, list[Lag]], reference: float | None) -> dict[str, Any] | None:
-    lags = [lag for each in found.values() for lag in each if lag.exponent is not None]
-    if not lags:
+    maps = np.array([[lag.map for lag in lags] for lags in found.values() if lags[0].exponent is not None])
+    if not len(maps):
         return None
-    maps = np.array([[lag.map for lag in each] for each in found.values() if each[0].exponent is not None])
-    with_exponent = [lag for lag in lags if "exponent" in lag.std]
-    exponents = np.array([lag.exponent for lag in with_exponent])
+    # the rotors of a flight share its battery and its reading: only flights are independent
+    each = [lags for lags in found.values() if all("exponent" in lag.std for lag in lags)]
+    exponents = np.array([np.median([lag.exponent for lag in lags]) for lags in each])
+    errors = np.array([np.mean([lag.std["exponent"] for lag in lags]) for lags in each])
     return {
         "coefficients": np.median(maps, axis=(0, 1)).tolist(),
         "powers": POWERS,
         "unit": "rad/s",
         "per rotor": np.median(maps, axis=0).tolist(),
         "voltage exponent": {
-            "value": float(np.median(exponents)) if len(with_exponent) else 0.0,
-            "std": float(np.std(exponents, ddof=1) / np.sqrt(len(with_exponent))) if len(with_exponent) > 1 else None,
+            "value": float(np.median(exponents)) if each else 0.0,
+            "std": _std(exponents[:, None], errors[:, None])[0] if each else None,
         },
-        "reference voltage": reference if with_exponent else None,
+        "reference voltage": reference if each else None,
         "source": f"fitted on {len(maps)} training flights",
     }
 
