@@ -17,7 +17,7 @@ Source: the thrust map inverts the battery compensation of the Crazyflie firmwar
 others are steady states of a DC motor with a propeller, linearised or not.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -66,6 +66,16 @@ FORMS = {
     "thrust map": Form(("saturation",), (0.5,), (0.01,), (0.98,)),
     "speed": Form((), (), (), ()),
 }
+_RANGES = {"time constant": TAU_RANGE, "delay": DELAY_RANGE, "voltage exponent": EXPONENT_RANGE}
+_RANGES |= dict(zip(WARM_UP_NAMES, (DROP_RANGE, WARM_UP_RANGE)))
+
+
+def ranges_of(form: str, names: Sequence[str]) -> tuple[np.ndarray, np.ndarray]:
+    """Bounds low and high (p,) of parameters of a map; names  of its shape and of what all forms have."""
+    about = FORMS[form]
+    known = _RANGES | dict(zip(about.names, zip(about.low, about.high)))
+    low, high = np.array([known[name] for name in names], float).T
+    return low, high
 
 
 def shape(form: str, share: np.ndarray, ratio: np.ndarray | float, exponent: float, parameters: Any) -> np.ndarray:
