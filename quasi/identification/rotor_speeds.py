@@ -90,7 +90,7 @@ def identify_rotor_speeds(
     if seconds < SHORTEST_COMPARED:
         raise DataError(
             f"flights {', '.join(flights)} hold {seconds:.1f} s from which rotor speeds could be estimated, "
-            f"{SHORTEST_COMPARED:g} s are needed; add flights"
+            f"{SHORTEST_COMPARED:g} s are needed; {'; '.join([*notes, 'add flights'])}"
         )
     names = ["speed"] if kind == "speed" else list(CANDIDATES)
     fits, begin = {}, None
@@ -338,6 +338,8 @@ def rotor_speeds_of(
         middle = usable(len(flights[key]), ratio)
         chosen[key][middle] = used_rows(flights[key])[middle]
     estimated = {key: flights[key] for key in lacking}
+    for key, flight in estimated.items():
+        _refuse_constant_commands(key, flight)
     if teachers and all(raw_commands(flight, "share") is not None for flight in estimated.values()):
         notes = [f"the flights {', '.join(teachers)} measure rotor speeds; they teach the map for {', '.join(lacking)}"]
         volts = _log_voltage(estimated, notes)
@@ -350,6 +352,17 @@ def rotor_speeds_of(
         drive, notes = identify_rotor_speeds(estimated, airframe, masses, known, chosen)
     drive["estimated flights"] = lacking
     return drive, notes
+
+
+def _refuse_constant_commands(key: str, flight: pd.DataFrame) -> None:
+    """Raise DataError for a rotor whose command is one number all through a flight: no controller flies so."""
+    kind = command_kind(flight)
+    still = [str(i) for i, c in enumerate(raw_commands(flight, kind).T, 1) if np.ptp(c) == 0.0] if kind else []
+    if still:
+        raise DataError(
+            f"flight {key}: the command of rotor {', '.join(still)} is constant all through the flight; correct the "
+            "columns of the log, or leave the flight out"
+        )
 
 
 def _measured_factor(flights: Mapping[str, pd.DataFrame], masses: Mapping[str, float]) -> float:

@@ -7,6 +7,7 @@ from airframes import to_draw
 from commanded_flights import EXPONENT, GAINS, MASS, OPERATING, SLOPE, flight
 
 from quasi.attitude import GRAVITY
+from quasi.errors import DataError
 from quasi.identification.joint_fit import JointFit, prepare_flight
 from quasi.identification.map_error import add_map_error
 from quasi.identification.rotor_speeds import _relative_error, identify_rotor_speeds, rotor_speeds_of
@@ -108,6 +109,21 @@ def test_measured_speeds_of_flights_without_commands_fix_the_scale():
     assert not drive["scale"]["relative"] and not any("relative" in note for note in notes)
     assert "speeds measured in other flights" in describe_map({"rotor speeds": drive})[1]
     assert drive["estimated flights"] == ["a"]
+
+
+@pytest.mark.parametrize("taught", [True, False])
+def test_a_rotor_whose_command_never_changes_is_refused_by_number(taught):
+    table = silent(3)[0].assign(command3_raw=0.0)
+    flights = {"m": teacher(1), "a": table} if taught else {"a": table}
+    with pytest.raises(DataError, match="flight a: the command of rotor 3 is constant"):
+        rotor_speeds_of(flights, to_draw(), MASSES, {})
+
+
+def test_a_refusal_says_that_commands_were_at_their_limit():
+    table = flight(1, 15.0, hidden=0.004)
+    table[SHARE_COLUMNS] = np.minimum(1.9 * table[SHARE_COLUMNS], 1.0)
+    with pytest.raises(DataError, match=r"s are needed; flight a: a command is at its limit"):
+        identify_rotor_speeds({"a": table}, to_draw(), MASSES)
 
 
 def test_the_error_of_speeds_is_no_other_where_a_value_meets_its_bound():
