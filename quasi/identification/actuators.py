@@ -23,10 +23,8 @@ from quasi.identification.flight_scatter import variance_between
 from quasi.identification.lag_fit import NO_SLOPES, fit_damped, follow
 from quasi.identification.regression import bartlett, memory_windows
 from quasi.tables import TELEMETRY_AGE_REMOVED
-from quasi.terms.rotor_map import LOW_VOLTAGE, ROTOR_NUMBERS, STEADY_VOLTAGE
+from quasi.terms.rotor_map import DELAY_RANGE, LOW_VOLTAGE, ROTOR_NUMBERS, STEADY_VOLTAGE, TAU_RANGE
 
-SHORTEST_TIME_CONSTANT, LONGEST_TIME_CONSTANT = 0.002, 0.5  # s, of a time constant
-MOST_DELAY = 0.1  # s
 STRETCH_WARM_UP = 0.2  # s after the start of a stretch that is not compared: the starting speed is a noisy one
 COMPARED_RATE_HZ = 125.0  # Hz at which speeds are compared
 FEWEST_ROWS = 100  # compared rows
@@ -177,11 +175,11 @@ def _fit(
     The first `lags` values are time constants, the next the delay; what follows is free.
     """
     free = len(begin) - lags - 1
-    low = np.array([SHORTEST_TIME_CONSTANT] * lags + [-0.25 * MOST_DELAY] + [-np.inf] * free)
-    high = np.array([LONGEST_TIME_CONSTANT] * lags + [MOST_DELAY] + [np.inf] * free)
+    low = np.array([TAU_RANGE[0]] * lags + [DELAY_RANGE[0]] + [-np.inf] * free)
+    high = np.array([TAU_RANGE[1]] * lags + [DELAY_RANGE[1]] + [np.inf] * free)
     size = np.array([0.01] * lags + [0.005] + [max(abs(v), 0.1) for v in begin[lags + 1 :]])
     x, jacobian, predicted = fit_damped(run, slopes, target, np.array(begin), (low, high), size)
-    if np.any(x[:lags] <= SHORTEST_TIME_CONSTANT) or np.any(x[:lags] >= LONGEST_TIME_CONSTANT) or x[lags] >= MOST_DELAY:
+    if np.any(x[:lags] <= TAU_RANGE[0]) or np.any(x[:lags] >= TAU_RANGE[1]) or x[lags] >= DELAY_RANGE[1]:
         return "does not follow its command with a lag"
     return x, jacobian, target - predicted
 
@@ -315,11 +313,13 @@ def _plain(lags: list[Lag]) -> dict[str, Any]:
 
 
 def _map(found: Mapping[str, list[Lag]], reference: float | None) -> dict[str, Any] | None:
-    maps = np.array([[lag.map for lag in lags] for lags in found.values() if lags[0].exponent is not None])
-    if not len(maps):
+    mapped = [lags for lags in found.values() if lags[0].exponent is not None]
+    if not mapped:
         return None
     # the rotors of a flight share its battery and its reading: only flights are independent
-    each = [lags for lags in found.values() if all("exponent" in lag.std for lag in lags)]
+    each = [lags for lags in mapped if all("exponent" in lag.std for lag in lags)]
+    # a flight at a steady voltage gives a map at that voltage, not at the reference
+    maps = np.array([[lag.map for lag in lags] for lags in each or mapped])
     exponents = np.array([np.median([lag.exponent for lag in lags]) for lags in each])
     errors = np.array([np.mean([lag.std["exponent"] for lag in lags]) for lags in each])
     return {

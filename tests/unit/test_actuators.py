@@ -189,6 +189,16 @@ def test_the_error_of_the_exponent_takes_flights_for_independent_not_rotors():
     assert one["command map"]["voltage exponent"]["std"] > 0.0
 
 
+def test_a_flight_at_a_steady_voltage_does_not_move_the_map_from_its_reference():
+    flights = {
+        "a": shares(made(3, seconds=10, voltage=lambda t: 16.0 - 0.1 * t - 0.4 * (np.sin(t) > 0.5), exponent=0.8)),
+        "b": shares(made(4, seconds=10, voltage=lambda t: 18.0 + 0 * t, exponent=0.8)),
+    }
+    mapped = actuators(flights, {k: np.ones(len(f), bool) for k, f in flights.items()}, [])["command map"]
+    true = (mapped["reference voltage"] / 15.0) ** 0.8 * np.polyval(MAP[::-1], 0.5)
+    assert np.polyval(mapped["coefficients"][::-1], 0.5) == pytest.approx(true, rel=1e-2)
+
+
 def test_gaps_start_anew_and_rows_outside_are_not_compared():
     flight = shares(made(4))
     flight.loc[3000:3400, "command2"] = np.nan
