@@ -32,11 +32,10 @@ from quasi.identification.flight_scatter import factor_error
 from quasi.identification.joint_fit import JOINT_AXES, JointFit, prepare_flight
 from quasi.identification.partition import usable
 from quasi.identification.regression import ends_within
-from quasi.identification.taught_map import teach_map, teaching_flights
+from quasi.identification.taught_map import SHORTEST_COMPARED, teach_map, teaching_flights
 from quasi.identification.yaw_fit import fit_yaw
 from quasi.terms.rotor_map import FORMS, SPEEDS, STEADY_VOLTAGE, WARM_UP_NAMES, raw_commands, raw_volts, used_rows
 
-SHORTEST_COMPARED = 5.0  # s of compared rows of all flights together: ten times the longest time constant
 AFTER_LIMIT = 0.2  # s after a command left its limit: five lags of a brushed motor
 SATURATED_SHARE = 0.999  # a share of the command from which on it is at its limit
 # Static thrust coefficient T / (rho n2 D4) of small propellers is 0.08 to 0.14 (Deters, Ananda & Selig, AIAA 2014-2151,

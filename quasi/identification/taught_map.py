@@ -16,13 +16,11 @@ import pandas as pd
 from scipy.optimize import least_squares
 
 from quasi.errors import DataError
-from quasi.identification.actuators import STEADY_VOLTAGE
+from quasi.identification.actuators import COMPARED_RATE_HZ, STRETCH_WARM_UP
 from quasi.identification.regression import ends_within, memory_windows
-from quasi.terms.rotor_map import FORMS, SHARES, SPEEDS, lagged, ranges_of, shape
+from quasi.terms.rotor_map import FORMS, SHARES, SPEEDS, STEADY_VOLTAGE, lagged, ranges_of, shape
 
-FITTED_RATE = 125.0  # Hz of compared rows, as in the identification of actuators
-WARM_UP = 0.2  # s of each flight that are not compared: the state of the lag is unknown there
-MIN_SECONDS = 5.0  # s of compared rows, ten times the longest time constant
+SHORTEST_COMPARED = 5.0  # s of compared rows of all flights together: ten times the longest time constant
 
 
 class _Taught(NamedTuple):
@@ -61,10 +59,10 @@ def teach_map(
     taught = {k: _prepare(f, chosen[k], operating, reference) for k, f in flights.items()}
     taught = {k: f for k, f in taught.items() if len(f.rows)}
     seconds = sum(len(f.rows) * f.step for f in taught.values())
-    if seconds < MIN_SECONDS or operating <= 0.0:
+    if seconds < SHORTEST_COMPARED or operating <= 0.0:
         raise DataError(
             f"flights {', '.join(flights)} hold {seconds:.1f} s of commands and rotor speeds that could teach the "
-            f"others, {MIN_SECONDS:g} s are needed; log rotor speeds for longer, or leave the others out"
+            f"others, {SHORTEST_COMPARED:g} s are needed; log rotor speeds for longer, or leave the others out"
         )
     found = {form: _fit(form, list(taught.values()), reference is not None) for form in forms}
     # a form that does not fit leaves residuals that remember: all forms have the rows of the one that fits best
@@ -82,8 +80,8 @@ def _prepare(flight: pd.DataFrame, chosen: np.ndarray, operating: float, referen
     ratio: np.ndarray | float = 1.0
     if reference is not None:
         ratio = flight["battery_voltage"].to_numpy(float)[:, None] / reference
-    every = max(round(1.0 / (FITTED_RATE * dt)), 1)
-    rows = np.flatnonzero(chosen & (t - t[0] > WARM_UP))[::every]
+    every = max(round(1.0 / (COMPARED_RATE_HZ * dt)), 1)
+    rows = np.flatnonzero(chosen & (t - t[0] > STRETCH_WARM_UP))[::every]
     commands = np.maximum(flight[list(SHARES)].to_numpy(float), 0.0) / max(operating, 1e-9)
     return _Taught(dt, every * dt, commands, ratio, flight[list(SPEEDS)].to_numpy(float)[rows], rows)
 

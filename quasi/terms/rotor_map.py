@@ -35,8 +35,8 @@ SPEEDS = tuple(f"w{i}" for i in ROTOR_NUMBERS)
 SHARES = tuple(f"command{i}" for i in ROTOR_NUMBERS)
 COMMANDED = tuple(f"w{i}_CMD" for i in ROTOR_NUMBERS)
 RAW = "_raw"  # ending of columns that the filter keeps without its low-pass, where rotor speeds are to be estimated
-TAU_RANGE = (0.002, 0.5)  # s, as in the identification of actuators
-DELAY_RANGE = (-0.025, 0.1)  # s, as in the identification of actuators; negative where commands are logged late
+TAU_RANGE = (0.002, 0.5)  # s, of a time constant
+DELAY_RANGE = (-0.025, 0.1)  # s; negative where commands are logged late
 EXPONENT_RANGE = (-1.0, 3.0)  # of the voltage; 0 with ideal battery compensation, 1 for duty times volts
 
 
