@@ -30,7 +30,7 @@ from quasi.attitude import AIR_DENSITY, GRAVITY
 from quasi.errors import DataError
 from quasi.identification.flight_scatter import factor_error
 from quasi.identification.joint_fit import JOINT_AXES, JointFit, prepare_flight
-from quasi.identification.partition import usable
+from quasi.identification.partition import TRAINING, UNUSED
 from quasi.identification.regression import ends_within
 from quasi.identification.taught_map import SHORTEST_COMPARED, teach_map, teaching_flights
 from quasi.identification.yaw_fit import fit_yaw
@@ -311,12 +311,14 @@ def rotor_speeds_of(
     airframe: Airframe,
     masses: Mapping[str, float],
     quadrotor: Mapping[str, Any],
-    ratio: float = 1.0,
+    roles: Mapping[str, np.ndarray] | None = None,
 ) -> tuple[dict[str, Any] | None, list[str]]:
     """The section "rotor speeds" of a model and notes; (None, []) where all its flights hold measured speeds.
 
     flights  filtered training flights; quadrotor  its configuration ("hover speed" or "thrust factor" fix the scale)
-    ratio    middle part of each flight that is used, "usable data ratio" of the model
+    roles    role codes of their rows by `partition`; a flight that trains in no row takes no part. Of the others all
+             used rows do: a lag needs stretches rather than the single rows of a random draw. None takes all that are
+             valid and in flight
     """
     lacking = lacking_speeds(flights)
     if not lacking:
@@ -330,12 +332,11 @@ def rotor_speeds_of(
     unknown = [key for key in lacking if masses.get(key) is None]
     if unknown:
         raise DataError(f"flight {unknown[0]}: the mass is unknown; fill in 'Mass' in the logbook")
-    chosen = {}
-    teachers = teaching_flights(flights)
-    for key in (*lacking, *teachers):
-        chosen[key] = np.zeros(len(flights[key]), bool)
-        middle = usable(len(flights[key]), ratio)
-        chosen[key][middle] = used_rows(flights[key])[middle]
+    if roles is None:
+        chosen = {key: used_rows(flight) for key, flight in flights.items()}
+    else:
+        chosen = {key: (roles[key] != UNUSED) & (roles[key] == TRAINING).any() for key in flights}
+    teachers = [key for key in teaching_flights(flights) if chosen[key].any()]
     estimated = {key: flights[key] for key in lacking}
     for key, flight in estimated.items():
         _refuse_constant_commands(key, flight)
@@ -345,8 +346,8 @@ def rotor_speeds_of(
         drive = teach_map({key: flights[key] for key in teachers}, chosen, CANDIDATES, volts)
         _note_errors(drive, notes)
     else:
-        measured = {k: f for k, f in flights.items() if k not in lacking and masses.get(k) is not None}
-        if measured and not known:
+        measured = {k: f[chosen[k]] for k, f in flights.items() if k not in lacking and masses.get(k) is not None}
+        if any(map(len, measured.values())) and not known:
             known = {MEASURED_SPEEDS: _measured_factor(measured, masses)}
         drive, notes = identify_rotor_speeds(estimated, airframe, masses, known, chosen)
     drive["estimated flights"] = lacking
@@ -365,14 +366,10 @@ def _refuse_constant_commands(key: str, flight: pd.DataFrame) -> None:
 
 
 def _measured_factor(flights: Mapping[str, pd.DataFrame], masses: Mapping[str, float]) -> float:
-    """Thrust over squared speed of one rotor, N s2/rad2, of flights that measure both: least squares of the vertical
+    """Thrust over squared speed of one rotor, N s2/rad2, of rows that measure both: least squares of the vertical
     force on the sum of squared speeds."""
-    squares, lift = [], []
-    for key, flight in flights.items():
-        rows = used_rows(flight)
-        squares.append(np.sum(flight.loc[rows, list(SPEEDS)].to_numpy(float) ** 2, axis=1))
-        lift.append(-masses[key] * flight.loc[rows, "az"].to_numpy(float))
-    x, z = np.concatenate(squares), np.concatenate(lift)
+    x = np.concatenate([np.sum(f[list(SPEEDS)].to_numpy(float) ** 2, axis=1) for f in flights.values()])
+    z = np.concatenate([-masses[key] * f["az"].to_numpy(float) for key, f in flights.items()])
     factor = float(x @ z / (x @ x)) if x.any() else 0.0
     if not factor > 0.0:
         raise DataError(

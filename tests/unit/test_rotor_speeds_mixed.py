@@ -10,6 +10,7 @@ from quasi.attitude import GRAVITY
 from quasi.errors import DataError
 from quasi.identification.joint_fit import JointFit, prepare_flight
 from quasi.identification.map_error import add_map_error
+from quasi.identification.partition import TEST, TRAINING
 from quasi.identification.rotor_speeds import _relative_error, identify_rotor_speeds, rotor_speeds_of
 from quasi.terms.rotor_map import describe_map, lagged, speeds_of
 
@@ -109,6 +110,18 @@ def test_measured_speeds_of_flights_without_commands_fix_the_scale():
     assert not drive["scale"]["relative"] and not any("relative" in note for note in notes)
     assert "speeds measured in other flights" in describe_map({"rotor speeds": drive})[1]
     assert drive["estimated flights"] == ["a"]
+
+
+@pytest.mark.parametrize("taught", [True, False])
+def test_flights_that_only_test_have_no_part_in_the_map(taught):
+    made = {k: with_commanded_speeds(flight(n, 15.0, hidden=0.004)) for k, n in (("a", 1), ("b", 2))}
+    if taught:
+        made = {"a": teacher(1), "b": teacher(2), "n": silent(3)[0]}
+    roles = {k: np.full(len(f), TEST if k == "b" else TRAINING, np.int8) for k, f in made.items()}
+    drive, _ = rotor_speeds_of(made, to_draw(), MASSES, {}, roles)
+    alone, _ = rotor_speeds_of({k: f for k, f in made.items() if k != "b"}, to_draw(), MASSES, {})
+    assert drive["time constant"] == alone["time constant"] and drive["flights"] == ["a"]
+    assert drive["relative error"] == alone["relative error"]
 
 
 @pytest.mark.parametrize("taught", [True, False])
