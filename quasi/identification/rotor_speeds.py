@@ -34,7 +34,16 @@ from quasi.identification.partition import TRAINING, UNUSED
 from quasi.identification.regression import ends_within
 from quasi.identification.taught_map import SHORTEST_COMPARED, teach_map, teaching_flights
 from quasi.identification.yaw_fit import fit_yaw
-from quasi.terms.rotor_map import FORMS, SPEEDS, STEADY_VOLTAGE, WARM_UP_NAMES, raw_commands, raw_volts, used_rows
+from quasi.terms.rotor_map import (
+    FORMS,
+    SPEEDS,
+    STEADY_VOLTAGE,
+    WARM_UP_NAMES,
+    ranges_of,
+    raw_commands,
+    raw_volts,
+    used_rows,
+)
 
 AFTER_LIMIT = 0.2  # s after a command left its limit: five lags of a brushed motor
 SATURATED_SHARE = 0.999  # a share of the command from which on it is at its limit
@@ -299,6 +308,16 @@ def _note_errors(drive: Mapping[str, Any], notes: list[str]) -> None:
         f"rotor speeds are estimated from commands, +- {100 * error['total']:.1f} % ({drive['form']} map, time "
         f"constant {1e3 * drive['time constant']['value']:.0f} ms, delay {1e3 * drive['delay']['value']:.0f} ms)"
     )
+    for name in ("time constant", "delay"):
+        (low,), (high,) = ranges_of(drive["form"], [name])
+        value, std = drive[name]["value"], drive[name]["std"]
+        # a lag at its lower end is that of fast rotors
+        if value >= high - std or (name == "delay" and value <= low + std):
+            notes.append(
+                f"the {name} of the rotors lies at the end of its range ({1e3 * low:.0f} to {1e3 * high:.0f} ms), so "
+                "that lag and factors may be wrong: commands and motion are further apart; check the clock of "
+                "the commands"
+            )
     if scale["relative"]:
         notes.append(
             f"rotor speeds are relative: their scale is fixed by a {scale['from']}; give 'hover speed' (rad/s) or "

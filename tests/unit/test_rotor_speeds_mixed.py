@@ -139,6 +139,17 @@ def test_a_refusal_says_that_commands_were_at_their_limit():
         identify_rotor_speeds({"a": table}, to_draw(), MASSES)
 
 
+@pytest.mark.parametrize(("late", "ends"), [(0.06, True), (-0.13, True), (0.0, False)])
+def test_commands_further_from_the_motion_than_any_rotor_are_a_note(late, ends):
+    table = with_commanded_speeds(flight(1, 15.0, hidden=0.004))
+    names = [f"w{i}_CMD_raw" for i in range(1, 5)]
+    t = table["t"].to_numpy()
+    table[names] = np.stack([np.interp(t - late, t, table[name]) for name in names], axis=1)
+    drive, notes = identify_rotor_speeds({"a": table}, to_draw(), MASSES)
+    assert any("the delay of the rotors lies at the end of its range" in note for note in notes) == ends
+    assert (drive["factors"]["Mx"]["value"] < 0.9) == (late > 0.0)  # of a truth of 1
+
+
 def test_the_error_of_speeds_is_no_other_where_a_value_meets_its_bound():
     table = flight(1, 15.0, hidden=0.004)
     made = [prepare_flight(table, np.ones(len(table), bool), to_draw(), MASS, "share", (OPERATING, 15.0))]
