@@ -15,6 +15,7 @@ from quasi.airframe import Airframe
 from quasi.identification.partition import TRAINING
 from quasi.identification.regression import ends_within
 from quasi.terms.expressions import Program, parse
+from quasi.terms.normalisation import Normalisation
 from quasi.terms.rotor_map import FORMS, ranges_of
 from quasi.terms.singularities import remove_singularities
 from quasi.terms.variables import Variables
@@ -51,13 +52,15 @@ def add_map_error(
     roles: Mapping[str, np.ndarray],
     airframe: Airframe,
     hover: float | None,
+    scheme: Normalisation | None = None,
 ) -> dict[str, Any]:
     """The identified axis with the error of the map in its covariance and standard errors.
 
     result  of `fit.fit_axis`; drive  section "rotor speeds"; speeds(drive)  the training flights with rotor speeds by
-    that map; roles  codes of their rows; hover  rad/s
+    that map; roles  codes of their rows; hover  rad/s; scheme  the non-dimensional one, None for SI
     """
-    trees = [remove_singularities(parse(t["expression"]), airframe.radius) for t in result["terms"]]
+    trees = [parse(t["expression"]) for t in result["terms"]]
+    trees = trees if scheme else [remove_singularities(tree, airframe.radius) for tree in trees]
     given = np.array([bool(t.get("given")) for t in result["terms"]])
     known = np.array([t["coefficient"] for t in result["terms"]])[given]
     program = Program(trees)
@@ -70,8 +73,8 @@ def add_map_error(
                 continue
             part = flight[rows]
             values = {c: part[c].to_numpy(float) for c in part}
-            columns.append(program.run(Variables(values, airframe, hover).__getitem__, len(part)).T)
-            target.append(values[axis])
+            columns.append(program.run(Variables(values, airframe, hover, scheme).__getitem__, len(part)).T)
+            target.append(values[axis] / scheme.scale_of(axis, values) if scheme else values[axis])
         a, z = np.concatenate(columns), np.concatenate(target)
         whole = np.isfinite(a).all(axis=1) & np.isfinite(z)  # as in the fit: induced velocity lacks in a descent
         a, z = a[whole], z[whole]
