@@ -73,10 +73,10 @@ def withheld(numbers: list[int]) -> dict:
         found = filter_flight(table, metadata, airframe, {**about["options"], **options})
         blind[key] = found.with_gravity, found.metadata
     tables = {key: table for key, (table, _) in blind.items()}
-    drive, notes = rotor_speeds_of(tables, airframe, masses, {}, 0.9)
+    whole = {"random partition": False, "usable data ratio": 0.9}
+    drive, notes = rotor_speeds_of(tables, airframe, masses, {}, partition(tables, options=whole))
     print("\n".join(notes))
     estimated = {key: add_estimated_speeds(table, made, drive) for key, (table, made) in blind.items()}
-    whole = {"random partition": False, "usable data ratio": 0.9}
     truth = shared(measured, partition(measured, options=whole), airframe, masses=masses)
     own = shared(estimated, partition(estimated, options=whole), airframe, masses=masses, drive=drive)
     report = {"drive": {k: drive[k] for k in ("form", "time constant", "delay", "voltage exponent", "relative error")}}

@@ -38,9 +38,9 @@ def main(flights: list[str], shared: str, partition: str, settings: dict, output
     except (DataError, ExpressionError) as error:
         problem = str(error).removeprefix(f"{axis}, ").removeprefix(f"{axis}: ")
         raise type(error)(f"{settings['specification file']}, {axis}: {problem}") from None
-    if drive is not None and scheme is None:
+    if drive is not None:
         hover = found["hover speed"]["value"]
-        result = add_map_error(result, axis, drive, with_speeds, roles, airframe, hover)
+        result = add_map_error(result, axis, drive, with_speeds, roles, airframe, hover, scheme)
     for line in describe_steps(axis, result["log"], result["stop reason"]):
         LOG.info("%s", line)
     for note in result["notes"]:

@@ -36,11 +36,9 @@ def main(flights: list[str], settings: dict, shared_json: str, partition_parquet
     tables, made = ({k: v for k, v in each.items() if k not in left_out} for each in (tables, made))
     because = {key: why for key, about in made.items() if (why := about.get("phases", {}).get("none valid because"))}
     masses = list_masses(made)
-    drive, notes_of_speeds = rotor_speeds_of(
-        tables, airframe, masses, settings["quadrotor"], settings["data partitioning"]["usable data ratio"]
-    )
-    tables = {key: add_estimated_speeds(table, made[key], drive) for key, table in tables.items()}
     roles = partition(tables, options=settings["data partitioning"], because=because)
+    drive, notes_of_speeds = rotor_speeds_of(tables, airframe, masses, settings["quadrotor"], roles)
+    tables = {key: add_estimated_speeds(table, made[key], drive) for key, table in tables.items()}
     mapped = settings["quadrotor"].get("command map")
     tables = {key: drop_identified_commands(table, made[key].get("imported")) for key, table in tables.items()}
     found = shared(

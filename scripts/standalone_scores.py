@@ -12,7 +12,7 @@ from quasi.scoring.review import review_model
 from quasi.scoring.score import SCORE_UNITS
 from quasi.scoring.summary import format_latex, format_summary, make_summary
 from quasi.scoring.thinning import list_thinned_units, thin_rows
-from quasi.scoring.verdict import describe_unusable_flights, lower_verdict
+from quasi.scoring.verdict import describe_flights_without_voltage, describe_unusable_flights, lower_verdict
 from quasi.tables import list_masses, read_made, read_table, write_json, write_table, write_text
 
 
@@ -24,9 +24,10 @@ def main(source: dict, roles: dict, options: dict, output: dict) -> None:
     codes, aside = judged_rows(read_table(source["partition"]), tables, roles["validation"], options)
     made = {Path(path).stem: read_made(path) for path in source["flights"]}
     found = review_model(portable, tables, codes, ROLES, aside, options, base, list_masses(made))
-    unusable = describe_unusable_flights(made, roles["validation"])
-    found = found._replace(diagnosis=lower_verdict(found.diagnosis, unusable))
-    for sentence in unusable:
+    doubts = describe_unusable_flights(made, roles["validation"])
+    doubts += describe_flights_without_voltage(tables, drive, roles["validation"])
+    found = found._replace(diagnosis=lower_verdict(found.diagnosis, doubts))
+    for sentence in doubts:
         LOG.warning("%s", sentence)
     for line in found.diagnosis["summary"]:
         LOG.info("%s", line)

@@ -19,13 +19,12 @@ from typing import Any, NamedTuple
 import numpy as np
 import pandas as pd
 
+from quasi.identification.flight_scatter import variance_between
 from quasi.identification.lag_fit import NO_SLOPES, fit_damped, follow
 from quasi.identification.regression import bartlett, memory_windows
 from quasi.tables import TELEMETRY_AGE_REMOVED
-from quasi.terms.rotor_map import LOW_VOLTAGE, ROTOR_NUMBERS, STEADY_VOLTAGE
+from quasi.terms.rotor_map import DELAY_RANGE, LOW_VOLTAGE, ROTOR_NUMBERS, STEADY_VOLTAGE, TAU_RANGE
 
-SHORTEST_TIME_CONSTANT, LONGEST_TIME_CONSTANT = 0.002, 0.5  # s, of a time constant
-MOST_DELAY = 0.1  # s
 STRETCH_WARM_UP = 0.2  # s after the start of a stretch that is not compared: the starting speed is a noisy one
 COMPARED_RATE_HZ = 125.0  # Hz at which speeds are compared
 FEWEST_ROWS = 100  # compared rows
@@ -176,11 +175,11 @@ def _fit(
     The first `lags` values are time constants, the next the delay; what follows is free.
     """
     free = len(begin) - lags - 1
-    low = np.array([SHORTEST_TIME_CONSTANT] * lags + [-0.25 * MOST_DELAY] + [-np.inf] * free)
-    high = np.array([LONGEST_TIME_CONSTANT] * lags + [MOST_DELAY] + [np.inf] * free)
+    low = np.array([TAU_RANGE[0]] * lags + [DELAY_RANGE[0]] + [-np.inf] * free)
+    high = np.array([TAU_RANGE[1]] * lags + [DELAY_RANGE[1]] + [np.inf] * free)
     size = np.array([0.01] * lags + [0.005] + [max(abs(v), 0.1) for v in begin[lags + 1 :]])
     x, jacobian, predicted = fit_damped(run, slopes, target, np.array(begin), (low, high), size)
-    if np.any(x[:lags] <= SHORTEST_TIME_CONSTANT) or np.any(x[:lags] >= LONGEST_TIME_CONSTANT) or x[lags] >= MOST_DELAY:
+    if np.any(x[:lags] <= TAU_RANGE[0]) or np.any(x[:lags] >= TAU_RANGE[1]) or x[lags] >= DELAY_RANGE[1]:
         return "does not follow its command with a lag"
     return x, jacobian, target - predicted
 
@@ -292,10 +291,13 @@ def _reference(flights: Mapping[str, pd.DataFrame], rows: Mapping[str, np.ndarra
 
 
 def _std(values: np.ndarray, errors: np.ndarray) -> list[float]:
-    """Standard errors (4,) of the medians: from the spread over flights where three or more give it, else their own."""
-    if len(values) < 3:
-        return (np.linalg.norm(errors, axis=0) / len(values)).tolist()
-    return (1.2533 * np.std(values, axis=0, ddof=1) / np.sqrt(len(values))).tolist()
+    """Standard errors (4,) of the medians: from the spread over flights where three or more give it. Of two flights
+    their own errors stand, and what the flights differ by beyond these."""
+    own = np.linalg.norm(errors, axis=0) / len(values)
+    if len(values) == 2:
+        between = [variance_between(v, e**2) for v, e in zip(values.T, errors.T)]
+        return np.sqrt(own**2 + np.array(between) / 2.0).tolist()
+    return (own if len(values) < 2 else 1.2533 * np.std(values, axis=0, ddof=1) / np.sqrt(len(values))).tolist()
 
 
 def _spread(values: np.ndarray) -> list[float] | None:
@@ -311,22 +313,25 @@ def _plain(lags: list[Lag]) -> dict[str, Any]:
 
 
 def _map(found: Mapping[str, list[Lag]], reference: float | None) -> dict[str, Any] | None:
-    lags = [lag for each in found.values() for lag in each if lag.exponent is not None]
-    if not lags:
+    mapped = [lags for lags in found.values() if lags[0].exponent is not None]
+    if not mapped:
         return None
-    maps = np.array([[lag.map for lag in each] for each in found.values() if each[0].exponent is not None])
-    with_exponent = [lag for lag in lags if "exponent" in lag.std]
-    exponents = np.array([lag.exponent for lag in with_exponent])
+    # the rotors of a flight share its battery and its reading: only flights are independent
+    each = [lags for lags in mapped if all("exponent" in lag.std for lag in lags)]
+    # a flight at a steady voltage gives a map at that voltage, not at the reference
+    maps = np.array([[lag.map for lag in lags] for lags in each or mapped])
+    exponents = np.array([np.median([lag.exponent for lag in lags]) for lags in each])
+    errors = np.array([np.mean([lag.std["exponent"] for lag in lags]) for lags in each])
     return {
         "coefficients": np.median(maps, axis=(0, 1)).tolist(),
         "powers": POWERS,
         "unit": "rad/s",
         "per rotor": np.median(maps, axis=0).tolist(),
         "voltage exponent": {
-            "value": float(np.median(exponents)) if len(with_exponent) else 0.0,
-            "std": float(np.std(exponents, ddof=1) / np.sqrt(len(with_exponent))) if len(with_exponent) > 1 else None,
+            "value": float(np.median(exponents)) if each else 0.0,
+            "std": _std(exponents[:, None], errors[:, None])[0] if each else None,
         },
-        "reference voltage": reference if with_exponent else None,
+        "reference voltage": reference if each else None,
         "source": f"fitted on {len(maps)} training flights",
     }
 

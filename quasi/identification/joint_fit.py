@@ -15,16 +15,12 @@ from quasi.airframe import Airframe
 from quasi.errors import DataError
 from quasi.identification.regression import ends_within
 from quasi.terms.rotor_map import (
-    DELAY_RANGE,
-    DROP_RANGE,
-    EXPONENT_RANGE,
     FORMS,
     RAW,
-    TAU_RANGE,
     WARM_UP_NAMES,
-    WARM_UP_RANGE,
     cold_surplus,
     lagged,
+    ranges_of,
     raw_commands,
     raw_volts,
     shape,
@@ -132,11 +128,7 @@ class JointFit:
         self.names = ("time constant", "delay", *about.names, *(("voltage exponent",) if with_voltage else ()))
         self.names += WARM_UP_NAMES if warming else ()
         volts, warm = int(with_voltage), int(warming)
-        drop, time = DROP_RANGE, WARM_UP_RANGE
-        self.low = np.array([TAU_RANGE[0], DELAY_RANGE[0], *about.low, *[EXPONENT_RANGE[0]] * volts,
-                             *[drop[0], time[0]] * warm])  # fmt: skip
-        self.high = np.array([TAU_RANGE[1], DELAY_RANGE[1], *about.high, *[EXPONENT_RANGE[1]] * volts,
-                              *[drop[1], time[1]] * warm])  # fmt: skip
+        self.low, self.high = ranges_of(form, self.names)
         self.size = np.array([0.01, 0.005, *[0.2] * (len(about.low) + volts), *[0.02, 2.0] * warm])
         self.x = np.array([0.04, 0.005, *about.start, *[0.7] * volts, *[0.02, 10.0] * warm])
         self.warming = warming

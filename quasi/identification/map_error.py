@@ -13,26 +13,35 @@ import pandas as pd
 
 from quasi.airframe import Airframe
 from quasi.identification.partition import TRAINING
+from quasi.identification.regression import ends_within
 from quasi.terms.expressions import Program, parse
-from quasi.terms.rotor_map import FORMS
+from quasi.terms.normalisation import Normalisation
+from quasi.terms.rotor_map import FORMS, ranges_of
 from quasi.terms.singularities import remove_singularities
 from quasi.terms.variables import Variables
 
 Speeds = Callable[[Mapping[str, Any]], Mapping[str, pd.DataFrame]]
 
 
-def moved_drives(drive: Mapping[str, Any]) -> list[dict[str, Any]]:
-    """The map moved by one standard error along each principal direction of its covariance."""
-    values, vectors = np.linalg.eigh(np.asarray(drive["covariance"], float))
-    result = []
-    for size, direction in zip(np.sqrt(np.maximum(values, 0.0)), vectors.T):
+def moved_drives(drive: Mapping[str, Any]) -> list[tuple[dict[str, Any], dict[str, Any], float]]:
+    """For each estimated parameter the map with it one standard error higher and lower, no further than its bounds,
+    and the distance of both."""
+    shape, asked = FORMS[drive["form"]].names, drive["estimated"]
+    low, high = ranges_of(drive["form"], asked)
+
+    def entry(of: Mapping[str, Any], name: str) -> dict[str, Any]:
+        return of["parameters"][name] if name in shape else of[name]
+
+    def at(x: np.ndarray) -> dict[str, Any]:
         moved = copy.deepcopy(dict(drive))
-        for name, change in zip(drive["estimated"], size * direction):
-            entry = moved["parameters"][name] if name in FORMS[drive["form"]].names else moved[name]
-            entry["value"] += float(change)
-        moved["time constant"]["value"] = max(moved["time constant"]["value"], 1e-4)
-        result.append(moved)
-    return result
+        for name, value in zip(asked, x):
+            entry(moved, name)["value"] = float(value)
+        return moved
+
+    x = np.array([entry(drive, name)["value"] for name in asked])
+    steps = np.sqrt(np.diag(np.asarray(drive["covariance"], float)))
+    ends = [ends_within(x, k, step, low, high) for k, step in enumerate(steps)]
+    return [(at(up), at(down), apart) for up, down, apart in ends]
 
 
 def add_map_error(
@@ -43,13 +52,15 @@ def add_map_error(
     roles: Mapping[str, np.ndarray],
     airframe: Airframe,
     hover: float | None,
+    scheme: Normalisation | None = None,
 ) -> dict[str, Any]:
     """The identified axis with the error of the map in its covariance and standard errors.
 
     result  of `fit.fit_axis`; drive  section "rotor speeds"; speeds(drive)  the training flights with rotor speeds by
-    that map; roles  codes of their rows; hover  rad/s
+    that map; roles  codes of their rows; hover  rad/s; scheme  the non-dimensional one, None for SI
     """
-    trees = [remove_singularities(parse(t["expression"]), airframe.radius) for t in result["terms"]]
+    trees = [parse(t["expression"]) for t in result["terms"]]
+    trees = trees if scheme else [remove_singularities(tree, airframe.radius) for tree in trees]
     given = np.array([bool(t.get("given")) for t in result["terms"]])
     known = np.array([t["coefficient"] for t in result["terms"]])[given]
     program = Program(trees)
@@ -62,14 +73,18 @@ def add_map_error(
                 continue
             part = flight[rows]
             values = {c: part[c].to_numpy(float) for c in part}
-            columns.append(program.run(Variables(values, airframe, hover).__getitem__, len(part)).T)
-            target.append(values[axis])
+            columns.append(program.run(Variables(values, airframe, hover, scheme).__getitem__, len(part)).T)
+            target.append(values[axis] / scheme.scale_of(axis, values) if scheme else values[axis])
         a, z = np.concatenate(columns), np.concatenate(target)
+        whole = np.isfinite(a).all(axis=1) & np.isfinite(z)  # as in the fit: induced velocity lacks in a descent
+        a, z = a[whole], z[whole]
         return np.linalg.lstsq(a[:, ~given], z - a[:, given] @ known, rcond=None)[0]
 
-    centre = coefficients(drive)
-    change = np.stack([coefficients(moved) - centre for moved in moved_drives(drive)], axis=1)
-    covariance = np.asarray(result["covariance"], float) + change @ change.T
+    ends = moved_drives(drive)
+    slopes = [(coefficients(up) - coefficients(down)) / apart if apart else np.zeros(sum(~given))
+              for up, down, apart in ends]  # fmt: skip
+    change = np.stack(slopes, axis=1)
+    covariance = np.asarray(result["covariance"], float) + change @ np.asarray(drive["covariance"], float) @ change.T
     result["covariance"] = covariance.tolist()
     spread = iter(np.sqrt(np.diag(covariance)))
     for term in result["terms"]:

@@ -14,6 +14,7 @@ import numpy as np
 import pandas as pd
 
 from quasi.errors import DataError
+from quasi.terms.rotor_map import used_rows
 
 UNUSED, TRAINING, TEST, VALIDATION = 0, 1, 2, 3
 ROLES = {"training": TRAINING, "test": TEST, "validation": VALIDATION}
@@ -58,7 +59,7 @@ def partition(
         codes = np.zeros(len(flight), np.int8)
         rows = np.zeros(len(flight), bool)
         rows[usable(len(flight), ratio)] = True
-        rows &= _valid(flight)
+        rows &= used_rows(flight)
         if key in validation:
             codes[rows] = VALIDATION
         elif whole is not None:
@@ -75,17 +76,9 @@ def partition(
     return roles
 
 
-def _valid(flight: pd.DataFrame) -> np.ndarray:
-    rows = np.ones(len(flight), bool)
-    for flag in ("valid", "in_flight"):
-        if flag in flight:
-            rows &= flight[flag].to_numpy() > 0.5
-    return rows
-
-
 def _none_left(flights: Mapping[str, pd.DataFrame], ratio: float, because: Mapping[str, str]) -> str:
     """Why flights that ought to train have no training row: none is valid, or the draw left none."""
-    valid = {key: _valid(flight) for key, flight in flights.items()}
+    valid = {key: used_rows(flight) for key, flight in flights.items()}
     barren = [key for key, rows in valid.items() if not rows.any()]
     # a reason that several flights share is reported once
     alike: dict[str, list[str]] = {}

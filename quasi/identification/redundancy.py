@@ -99,7 +99,7 @@ def _is_combination(column: np.ndarray, basis: Sequence[np.ndarray]) -> bool:
 
 
 def _direction(column: np.ndarray) -> tuple[str, ...]:
-    """The column up to a factor, as text that rounding does not change."""
-    largest = int(np.argmax(np.abs(column)))
+    """The column up to a factor, as text that rounding does not change; a root of a negative number is no number."""
+    largest = int(np.argmax(np.nan_to_num(np.abs(column))))
     scale = column[largest] if column[largest] else 1.0
     return tuple(f"{value:.{COMPARED_DIGITS}f}" for value in column / scale)

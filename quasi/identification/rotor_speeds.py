@@ -30,18 +30,28 @@ from quasi.attitude import AIR_DENSITY, GRAVITY
 from quasi.errors import DataError
 from quasi.identification.flight_scatter import factor_error
 from quasi.identification.joint_fit import JOINT_AXES, JointFit, prepare_flight
-from quasi.identification.partition import usable
-from quasi.identification.taught_map import teach_map, teaching_flights
+from quasi.identification.partition import TRAINING, UNUSED
+from quasi.identification.regression import ends_within
+from quasi.identification.taught_map import SHORTEST_COMPARED, teach_map, teaching_flights
 from quasi.identification.yaw_fit import fit_yaw
-from quasi.terms.rotor_map import FORMS, SPEEDS, STEADY_VOLTAGE, WARM_UP_NAMES, raw_commands, raw_volts, used_rows
+from quasi.terms.rotor_map import (
+    FORMS,
+    SPEEDS,
+    STEADY_VOLTAGE,
+    WARM_UP_NAMES,
+    ranges_of,
+    raw_commands,
+    raw_volts,
+    used_rows,
+)
 
-SHORTEST_COMPARED = 5.0  # s of compared rows of all flights together: ten times the longest time constant
 AFTER_LIMIT = 0.2  # s after a command left its limit: five lags of a brushed motor
 SATURATED_SHARE = 0.999  # a share of the command from which on it is at its limit
 # Static thrust coefficient T / (rho n2 D4) of small propellers is 0.08 to 0.14 (Deters, Ananda & Selig, AIAA 2014-2151,
 # 2.25 to 9 inch); its middle, as T = C rho A (W R)2: times 4 / pi3
 NOMINAL_THRUST_COEFFICIENT = 0.11 * 4.0 / np.pi**3
 CANDIDATES = ("linear", "square root", "quadratic", "thrust map")  # forms of maps from shares, compared by BIC
+MEASURED_SPEEDS = "speeds measured in other flights"  # of the same model, which fix the scale
 KNOWN_SCALES = ("hover speed", "thrust factor")  # keys of the quadrotor configuration, rad/s and N s2/rad2
 
 
@@ -50,9 +60,10 @@ def lacking_speeds(flights: Mapping[str, pd.DataFrame]) -> list[str]:
     return [key for key, flight in flights.items() if not all(w in flight for w in SPEEDS)]
 
 
-def command_kind(flight: pd.DataFrame) -> str | None:
-    """ "speed" where a filtered flight keeps commanded speeds, "share" where it keeps shares, else None."""
-    return next((kind for kind in ("speed", "share") if raw_commands(flight, kind) is not None), None)
+def command_kind(*flights: pd.DataFrame) -> str | None:
+    """ "speed" where filtered flights all keep commanded speeds, else "share" where all keep shares, else None."""
+    kinds = ("speed", "share")
+    return next((kind for kind in kinds if all(raw_commands(f, kind) is not None for f in flights)), None)
 
 
 def identify_rotor_speeds(
@@ -67,19 +78,18 @@ def identify_rotor_speeds(
     flights  filtered training flights with the columns that the filter keeps where speeds lack (`rotor_map.RAW`)
     chosen   {flight: (n,) bool} rows to use, stretches rather than single rows; None takes those valid and in flight
     masses   kg per flight; known  "hover speed" (rad/s) or "thrust factor" (N s2/rad2) of the quadrotor's configuration
+             or, as MEASURED_SPEEDS, the thrust factor of flights that measure speeds
     Raises DataError where the flights are too short, or their commands move too little.
     """
     notes: list[str] = []
-    kinds = {command_kind(flight) for flight in flights.values()}
-    if len(kinds) != 1:
+    kind = command_kind(*flights.values())
+    if kind is None:
         raise DataError(
             f"of the flights {', '.join(flights)} some log commanded speeds and some shares of the motor output range; "
             "train the model on flights of one kind, or give the quadrotor a 'command map'"
         )
-    kind = next(iter(kinds))
     chosen = chosen or {key: used_rows(flight) for key, flight in flights.items()}
-    if kind == "share":
-        chosen = rows_within_limits(flights, chosen, notes)
+    chosen = rows_within_limits(flights, chosen, notes)
     operating, reference = _operating_point(flights, chosen, kind, notes)
     point = operating, reference
     made = {k: prepare_flight(f, chosen[k], airframe, masses[k], kind, point) for k, f in flights.items()}
@@ -88,7 +98,7 @@ def identify_rotor_speeds(
     if seconds < SHORTEST_COMPARED:
         raise DataError(
             f"flights {', '.join(flights)} hold {seconds:.1f} s from which rotor speeds could be estimated, "
-            f"{SHORTEST_COMPARED:g} s are needed; add flights"
+            f"{SHORTEST_COMPARED:g} s are needed; {'; '.join([*notes, 'add flights'])}"
         )
     names = ["speed"] if kind == "speed" else list(CANDIDATES)
     fits, begin = {}, None
@@ -158,12 +168,7 @@ def _operating_point(
             f"the flights {', '.join(flights)} hold no commands between 0 and their limit while they fly; check their "
             "columns and units"
         )
-    silent = [k for k, f in flights.items() if raw_volts(f) is None]
-    if silent:
-        notes.append(
-            f"flight{'s' * (len(silent) > 1)} {', '.join(silent)} log{'s' * (len(silent) == 1)} no battery voltage: "
-            "the map from command to rotor speed is identified without it"
-        )
+    if not _log_voltage(flights, notes):
         return operating, None
     volts = [raw_volts(f)[chosen[k]] for k, f in flights.items()]
     median = float(np.median(np.concatenate(volts)))
@@ -173,17 +178,30 @@ def _operating_point(
     return operating, median
 
 
+def _log_voltage(flights: Mapping[str, pd.DataFrame], notes: list[str]) -> bool:
+    """Whether all flights log the battery voltage; a note names those that do not."""
+    silent = [k for k, f in flights.items() if raw_volts(f) is None]
+    if silent:
+        notes.append(
+            f"flight{'s' * (len(silent) > 1)} {', '.join(silent)} log{'s' * (len(silent) == 1)} no battery voltage: "
+            "the map from command to rotor speed is identified without it"
+        )
+    return not silent
+
+
 def rows_within_limits(
     flights: Mapping[str, pd.DataFrame], chosen: Mapping[str, np.ndarray], notes: list[str]
 ) -> dict[str, np.ndarray]:
     """The chosen rows, without those where a command is at its limit or was so within AFTER_LIMIT before.
 
     Beyond the limit the log does not hold what the controller asked for, and a supply that cannot carry full commands
-    sags. Notes report how many rows are left out.
+    sags. Notes report how many rows are left out. Of commanded speeds without shares no limit is known.
     """
-    found = {}
+    found = dict(chosen)
     for key, flight in flights.items():
         commands, t = raw_commands(flight, "share"), flight["t"].to_numpy(float)
+        if commands is None:
+            continue
         full = commands >= SATURATED_SHARE
         memory = max(round(AFTER_LIMIT / float(np.median(np.diff(t)))), 1)
         last = np.maximum.accumulate(np.where(full.any(axis=1), np.arange(len(t)), -memory - 1))
@@ -213,9 +231,11 @@ def _as_plain(
     common = np.exp(np.mean(np.log(factors), axis=0))  # N at the operating point, per rotor
     trims = np.sqrt(factors / common)
     mass = float(np.mean([masses[k] for k in keys]))
-    factor, scale = _thrust_factor(airframe, mass, known)
+    commanded = float(np.mean(common)) / operating**2 if kind == "speed" else None
+    factor, scale = _thrust_factor(airframe, mass, known, commanded)
     relative_map = _relative_error(fit)
-    scatter = float(np.std(np.log(trims), ddof=1)) if len(keys) > 1 else None
+    # the mean of each of the four rotors is taken off
+    scatter = float(np.std(np.log(trims), ddof=4)) if len(keys) > 1 else None
     total = float(np.hypot(relative_map, scatter or 0.0))
     arms = {
         axis: {"value": float(fit.coefficients[axis][0]), "std": float(fit.errors[axis][0])} for axis in JOINT_AXES[1:]
@@ -244,13 +264,22 @@ def _as_plain(
     }  # fmt: skip
 
 
-def _thrust_factor(airframe: Airframe, mass: float, known: Mapping[str, float]) -> tuple[float, dict[str, Any]]:
-    """Thrust over squared speed of one rotor, N s2/rad2, by which speeds get their unit; and what fixes it."""
+def _thrust_factor(
+    airframe: Airframe, mass: float, known: Mapping[str, float], commanded: float | None
+) -> tuple[float, dict[str, Any]]:
+    """Thrust over squared speed of one rotor, N s2/rad2, by which speeds get their unit; and what fixes it.
+
+    commanded  the same of commanded speeds; None of commands that are shares
+    """
     if known.get("thrust factor"):
         return float(known["thrust factor"]), {"relative": False, "from": "configured thrust factor"}
     if known.get("hover speed"):
         factor = mass * GRAVITY / (4.0 * float(known["hover speed"]) ** 2)
         return factor, {"relative": False, "from": "configured hover speed"}
+    if known.get(MEASURED_SPEEDS):
+        return float(known[MEASURED_SPEEDS]), {"relative": False, "from": MEASURED_SPEEDS}
+    if commanded is not None:
+        return commanded, {"relative": False, "from": "commanded speeds"}
     factor = NOMINAL_THRUST_COEFFICIENT * AIR_DENSITY * np.pi * airframe.radius**4
     return float(factor), {
         "relative": True,
@@ -262,15 +291,14 @@ def _relative_error(fit: JointFit) -> float:
     """Root mean square, over compared rows, of the relative error of the speeds from the map's parameters."""
     total, count = 0.0, 0
     for flight in fit.flights:
-        centre = np.log(np.maximum(fit.thrusts(flight, fit.x)[1][flight.used], 1e-9))
         slopes = []
         for k, step in enumerate(1e-2 * fit.size):
-            moved = np.clip(fit.x + step * (np.arange(len(fit.x)) == k), fit.low, fit.high)
-            there = np.log(np.maximum(fit.thrusts(flight, moved)[1][flight.used], 1e-9))
-            slopes.append((there - centre) / step)
+            *ends, apart = ends_within(fit.x, k, step, fit.low, fit.high)
+            up, down = (np.log(np.maximum(fit.thrusts(flight, x)[1][flight.used], 1e-9)) for x in ends)
+            slopes.append((up - down) / apart)
         a = np.stack(slopes, axis=-1)
         total += float(np.einsum("nrk,kl,nrl->", a, fit.covariance, a))
-        count += centre.size
+        count += a[..., 0].size
     return float(np.sqrt(total / max(count, 1)))
 
 
@@ -280,6 +308,16 @@ def _note_errors(drive: Mapping[str, Any], notes: list[str]) -> None:
         f"rotor speeds are estimated from commands, +- {100 * error['total']:.1f} % ({drive['form']} map, time "
         f"constant {1e3 * drive['time constant']['value']:.0f} ms, delay {1e3 * drive['delay']['value']:.0f} ms)"
     )
+    for name in ("time constant", "delay"):
+        (low,), (high,) = ranges_of(drive["form"], [name])
+        value, std = drive[name]["value"], drive[name]["std"]
+        # a lag at its lower end is that of fast rotors
+        if value >= high - std or (name == "delay" and value <= low + std):
+            notes.append(
+                f"the {name} of the rotors lies at the end of its range ({1e3 * low:.0f} to {1e3 * high:.0f} ms), so "
+                "that lag and factors may be wrong: commands and motion are further apart; check the clock of "
+                "the commands"
+            )
     if scale["relative"]:
         notes.append(
             f"rotor speeds are relative: their scale is fixed by a {scale['from']}; give 'hover speed' (rad/s) or "
@@ -292,12 +330,14 @@ def rotor_speeds_of(
     airframe: Airframe,
     masses: Mapping[str, float],
     quadrotor: Mapping[str, Any],
-    ratio: float = 1.0,
+    roles: Mapping[str, np.ndarray] | None = None,
 ) -> tuple[dict[str, Any] | None, list[str]]:
     """The section "rotor speeds" of a model and notes; (None, []) where all its flights hold measured speeds.
 
     flights  filtered training flights; quadrotor  its configuration ("hover speed" or "thrust factor" fix the scale)
-    ratio    middle part of each flight that is used, "usable data ratio" of the model
+    roles    role codes of their rows by `partition`; a flight that trains in no row takes no part. Of the others all
+             used rows do: a lag needs stretches rather than the single rows of a random draw. None takes all that are
+             valid and in flight
     """
     lacking = lacking_speeds(flights)
     if not lacking:
@@ -311,20 +351,50 @@ def rotor_speeds_of(
     unknown = [key for key in lacking if masses.get(key) is None]
     if unknown:
         raise DataError(f"flight {unknown[0]}: the mass is unknown; fill in 'Mass' in the logbook")
-    chosen = {}
-    teachers = teaching_flights(flights)
-    for key in (*lacking, *teachers):
-        chosen[key] = np.zeros(len(flights[key]), bool)
-        middle = usable(len(flights[key]), ratio)
-        chosen[key][middle] = used_rows(flights[key])[middle]
-    if teachers and all(command_kind(flights[key]) == "share" for key in lacking):
-        drive = teach_map({key: flights[key] for key in teachers}, chosen, CANDIDATES)
+    if roles is None:
+        chosen = {key: used_rows(flight) for key, flight in flights.items()}
+    else:
+        chosen = {key: (roles[key] != UNUSED) & (roles[key] == TRAINING).any() for key in flights}
+    teachers = [key for key in teaching_flights(flights) if chosen[key].any()]
+    estimated = {key: flights[key] for key in lacking}
+    for key, flight in estimated.items():
+        _refuse_constant_commands(key, flight)
+    if teachers and all(raw_commands(flight, "share") is not None for flight in estimated.values()):
         notes = [f"the flights {', '.join(teachers)} measure rotor speeds; they teach the map for {', '.join(lacking)}"]
+        volts = _log_voltage(estimated, notes)
+        drive = teach_map({key: flights[key] for key in teachers}, chosen, CANDIDATES, volts)
         _note_errors(drive, notes)
     else:
-        drive, notes = identify_rotor_speeds({k: flights[k] for k in lacking}, airframe, masses, known, chosen)
+        measured = {k: f[chosen[k]] for k, f in flights.items() if k not in lacking and masses.get(k) is not None}
+        if any(map(len, measured.values())) and not known:
+            known = {MEASURED_SPEEDS: _measured_factor(measured, masses)}
+        drive, notes = identify_rotor_speeds(estimated, airframe, masses, known, chosen)
     drive["estimated flights"] = lacking
     return drive, notes
+
+
+def _refuse_constant_commands(key: str, flight: pd.DataFrame) -> None:
+    """Raise DataError for a rotor whose command is one number all through a flight: no controller flies so."""
+    kind = command_kind(flight)
+    still = [str(i) for i, c in enumerate(raw_commands(flight, kind).T, 1) if np.ptp(c) == 0.0] if kind else []
+    if still:
+        raise DataError(
+            f"flight {key}: the command of rotor {', '.join(still)} is constant all through the flight; correct the "
+            "columns of the log, or leave the flight out"
+        )
+
+
+def _measured_factor(flights: Mapping[str, pd.DataFrame], masses: Mapping[str, float]) -> float:
+    """Thrust over squared speed of one rotor, N s2/rad2, of rows that measure both: least squares of the vertical
+    force on the sum of squared speeds."""
+    x = np.concatenate([np.sum(f[list(SPEEDS)].to_numpy(float) ** 2, axis=1) for f in flights.values()])
+    z = np.concatenate([-masses[key] * f["az"].to_numpy(float) for key, f in flights.items()])
+    factor = float(x @ z / (x @ x)) if x.any() else 0.0
+    if not factor > 0.0:
+        raise DataError(
+            f"the flights {', '.join(flights)} measure rotor speeds that carry no weight; check their columns and units"
+        )
+    return factor
 
 
 def factors_of(drive: Mapping[str, Any], airframe: Airframe) -> dict[str, Any]:

@@ -16,13 +16,11 @@ import pandas as pd
 from scipy.optimize import least_squares
 
 from quasi.errors import DataError
-from quasi.identification.actuators import STEADY_VOLTAGE
+from quasi.identification.actuators import COMPARED_RATE_HZ, STRETCH_WARM_UP
 from quasi.identification.regression import ends_within, memory_windows
-from quasi.terms.rotor_map import DELAY_RANGE, EXPONENT_RANGE, FORMS, SHARES, SPEEDS, TAU_RANGE, lagged, shape
+from quasi.terms.rotor_map import FORMS, SHARES, SPEEDS, STEADY_VOLTAGE, lagged, ranges_of, shape
 
-FITTED_RATE = 125.0  # Hz of compared rows, as in the identification of actuators
-WARM_UP = 0.2  # s of each flight that are not compared: the state of the lag is unknown there
-MIN_SECONDS = 5.0  # s of compared rows, ten times the longest time constant
+SHORTEST_COMPARED = 5.0  # s of compared rows of all flights together: ten times the longest time constant
 
 
 class _Taught(NamedTuple):
@@ -43,25 +41,28 @@ def teaching_flights(flights: Mapping[str, pd.DataFrame]) -> list[str]:
 
 
 def teach_map(
-    flights: Mapping[str, pd.DataFrame], chosen: Mapping[str, np.ndarray], forms: Sequence[str]
+    flights: Mapping[str, pd.DataFrame], chosen: Mapping[str, np.ndarray], forms: Sequence[str], volts: bool = True
 ) -> dict[str, Any]:
     """The section "rotor speeds" of a model from flights that measure rotor speeds.
 
     flights  filtered; chosen {flight: (n,) bool} rows to use; forms  names of `rotor_map.FORMS`, compared by BIC
+    volts    whether all flights that are to be estimated log the battery voltage: without it the map has none either,
+             so that its error holds what the voltage does
     Raises DataError where the rows are too few.
     """
     commands = np.concatenate([f[list(SHARES)].to_numpy(float)[chosen[k]].ravel() for k, f in flights.items()])
     operating, reference = float(np.median(commands)) if len(commands) else 0.0, None
-    if all("battery_voltage" in f for f in flights.values()):
-        volts = np.concatenate([f["battery_voltage"].to_numpy(float)[chosen[k]] for k, f in flights.items()])
-        if len(volts) and np.std(volts) >= STEADY_VOLTAGE * np.median(volts) > 0.0:
-            reference = float(np.median(volts))
+    if volts and all("battery_voltage" in f for f in flights.values()):
+        logged = np.concatenate([f["battery_voltage"].to_numpy(float)[chosen[k]] for k, f in flights.items()])
+        if len(logged) and np.std(logged) >= STEADY_VOLTAGE * np.median(logged) > 0.0:
+            reference = float(np.median(logged))
     taught = {k: _prepare(f, chosen[k], operating, reference) for k, f in flights.items()}
+    taught = {k: f for k, f in taught.items() if len(f.rows)}
     seconds = sum(len(f.rows) * f.step for f in taught.values())
-    if seconds < MIN_SECONDS or operating <= 0.0:
+    if seconds < SHORTEST_COMPARED or operating <= 0.0:
         raise DataError(
             f"flights {', '.join(flights)} hold {seconds:.1f} s of commands and rotor speeds that could teach the "
-            f"others, {MIN_SECONDS:g} s are needed; log rotor speeds for longer, or leave the others out"
+            f"others, {SHORTEST_COMPARED:g} s are needed; log rotor speeds for longer, or leave the others out"
         )
     found = {form: _fit(form, list(taught.values()), reference is not None) for form in forms}
     # a form that does not fit leaves residuals that remember: all forms have the rows of the one that fits best
@@ -70,7 +71,7 @@ def teach_map(
         rows, count = fit["count"] / memory, len(fit["x"]) + 4
         fit["criterion"] = rows * np.log(fit["squares"]) + count * np.log(fit["count"])
     best = min(found, key=lambda form: found[form]["criterion"])
-    return _as_plain(found, best, list(flights), operating, reference)
+    return _as_plain(found, best, list(taught), operating, reference)
 
 
 def _prepare(flight: pd.DataFrame, chosen: np.ndarray, operating: float, reference: float | None) -> _Taught:
@@ -79,8 +80,8 @@ def _prepare(flight: pd.DataFrame, chosen: np.ndarray, operating: float, referen
     ratio: np.ndarray | float = 1.0
     if reference is not None:
         ratio = flight["battery_voltage"].to_numpy(float)[:, None] / reference
-    every = max(round(1.0 / (FITTED_RATE * dt)), 1)
-    rows = np.flatnonzero(chosen & (t - t[0] > WARM_UP))[::every]
+    every = max(round(1.0 / (COMPARED_RATE_HZ * dt)), 1)
+    rows = np.flatnonzero(chosen & (t - t[0] > STRETCH_WARM_UP))[::every]
     commands = np.maximum(flight[list(SHARES)].to_numpy(float), 0.0) / max(operating, 1e-9)
     return _Taught(dt, every * dt, commands, ratio, flight[list(SPEEDS)].to_numpy(float)[rows], rows)
 
@@ -88,8 +89,8 @@ def _prepare(flight: pd.DataFrame, chosen: np.ndarray, operating: float, referen
 def _fit(form: str, flights: Sequence[_Taught], with_voltage: bool) -> dict[str, Any]:
     about = FORMS[form]
     count = len(about.names)
-    low = np.array([TAU_RANGE[0], DELAY_RANGE[0], *about.low, *[EXPONENT_RANGE[0]] * with_voltage])
-    high = np.array([TAU_RANGE[1], DELAY_RANGE[1], *about.high, *[EXPONENT_RANGE[1]] * with_voltage])
+    names = ("time constant", "delay", *about.names, *(("voltage exponent",) if with_voltage else ()))
+    low, high = ranges_of(form, names)
     size = np.array([0.01, 0.005, *[0.2] * (len(low) - 2)])
     speeds = np.concatenate([f.speeds for f in flights])
 
@@ -119,7 +120,7 @@ def _fit(form: str, flights: Sequence[_Taught], with_voltage: bool) -> dict[str,
     covariance = squares * memory * np.linalg.pinv(jacobian.T @ jacobian)
     means = [np.mean(r, axis=0) for r in np.split(residual, lengths[:-1])]
     return {
-        "names": ("time constant", "delay", *about.names, *(("voltage exponent",) if with_voltage else ())),
+        "names": names,
         "x": x,
         "speeds": at,
         "covariance": covariance,
@@ -127,7 +128,8 @@ def _fit(form: str, flights: Sequence[_Taught], with_voltage: bool) -> dict[str,
         "squares": squares,
         "count": residual.size,
         "within": float(np.sqrt(squares)) / float(np.mean(speeds)),
-        "between": float(np.std(means, ddof=1)) / float(np.mean(speeds)) if len(flights) > 1 else None,
+        # the speed of each of the four rotors is common to the flights
+        "between": float(np.std(means, ddof=4)) / float(np.mean(speeds)) if len(flights) > 1 else None,
     }
 
 

@@ -285,25 +285,23 @@ class Model:
             coefficients = np.array([t["coefficient"] for t in part["terms"]])
             a = values[[not t.get("given", False) for t in part["terms"]]]
             covariance = np.array(part["covariance"], float).reshape(len(a), len(a))
+            scale = self.normalisation.scale_of(axis, columns) if self.normalisation else 1.0
             with np.errstate(invalid="ignore", over="ignore"):
-                variance = part["sigma2"] + np.einsum("in,in->n", a, covariance @ a) + by_speeds[AXES.index(axis)]
-                deviation = np.sqrt(variance)
-                centre = coefficients @ values
+                variance = (part["sigma2"] + np.einsum("in,in->n", a, covariance @ a)) * scale**2
+                deviation = np.sqrt(variance + by_speeds[AXES.index(axis)])
+                centre = coefficients @ values * scale
             freedom = part["effective rows"] - len(part["covariance"])
             share = 0.5 * (1.0 + confidence)
             width = (stdtrit(freedom, share) if freedom >= 1 else ndtri(share)) * deviation
             if not part["n"]:  # coefficients without data have no known errors
                 width = np.full(rows, np.nan)
-            if self.normalisation:
-                scale = self.normalisation.scale_of(axis, columns)
-                centre, width = centre * scale, width * scale
             result |= {axis: centre, f"{axis}_lower": centre - width, f"{axis}_upper": centre + width}
         return pd.DataFrame(result, index=flight.index if isinstance(flight, pd.DataFrame) else None)
 
     def _variance_by_speeds(self, columns: Mapping[str, np.ndarray], rows: int, trimmed: bool) -> np.ndarray:
         """(6, rows) variance of the predictions from estimated rotor speeds; zeros where speeds are measured."""
         error = relative_speed_error(self.document, trimmed)
-        if not error or self.normalisation:
+        if not error:
             return np.zeros((len(AXES), rows))
         speeds = np.stack([np.asarray(columns[w], float) for w in ROTORS])
         slopes = self._run(self.derivative_kernel(ROTORS), columns, rows).reshape(len(AXES), 4, rows)

@@ -8,6 +8,8 @@ It also checks whether the validation data leave the region of the training data
 from collections.abc import Iterable, Mapping
 from typing import Any
 
+from quasi.model.extensions import are_estimated
+
 VERDICTS = ("good", "usable with care", "unusable")
 SIGNIFICANT_PERCENT = 10.0  # %, relative difference in RMSE from which it is significant
 MAX_COVERAGE_SHORTFALL = 0.05  # coverage below the confidence level beyond which intervals are too narrow
@@ -260,6 +262,24 @@ def describe_unusable_flights(made: Mapping[str, Mapping[str, Any]], validation:
         f"held-out flight {key} is unusable ({why[0]}): its scores cannot judge the model; hold out another flight"
         for key in validation
         if (why := made.get(key, {}).get("unusable because"))
+    ]
+
+
+def describe_flights_without_voltage(
+    flights: Mapping[str, Iterable[str]], drive: Mapping[str, Any] | None, validation: Iterable[str]
+) -> list[str]:
+    """Describe each held-out flight whose rotor speeds are estimated by a map that needs a voltage it does not log.
+
+    flights  {key: columns of the filtered table}; drive  the model's map from commands to rotor speeds
+    validation  keys of the held-out flights
+    """
+    if not drive or not drive["voltage exponent"]:
+        return []
+    lacking = [k for k in validation if are_estimated(flights[k]) and "battery_voltage" not in flights[k]]
+    return [
+        f"held-out flight {key} logs no battery voltage, which the map from commands to rotor speeds needs: its scores "
+        "hold the error of a constant voltage; hold out another flight"
+        for key in lacking
     ]
 
 

@@ -17,7 +17,7 @@ Source: the thrust map inverts the battery compensation of the Crazyflie firmwar
 others are steady states of a DC motor with a propeller, linearised or not.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -35,8 +35,8 @@ SPEEDS = tuple(f"w{i}" for i in ROTOR_NUMBERS)
 SHARES = tuple(f"command{i}" for i in ROTOR_NUMBERS)
 COMMANDED = tuple(f"w{i}_CMD" for i in ROTOR_NUMBERS)
 RAW = "_raw"  # ending of columns that the filter keeps without its low-pass, where rotor speeds are to be estimated
-TAU_RANGE = (0.002, 0.5)  # s, as in the identification of actuators
-DELAY_RANGE = (-0.025, 0.1)  # s, as in the identification of actuators; negative where commands are logged late
+TAU_RANGE = (0.002, 0.5)  # s, of a time constant
+DELAY_RANGE = (-0.025, 0.1)  # s; negative where commands are logged late
 EXPONENT_RANGE = (-1.0, 3.0)  # of the voltage; 0 with ideal battery compensation, 1 for duty times volts
 
 
@@ -66,6 +66,16 @@ FORMS = {
     "thrust map": Form(("saturation",), (0.5,), (0.01,), (0.98,)),
     "speed": Form((), (), (), ()),
 }
+_RANGES = {"time constant": TAU_RANGE, "delay": DELAY_RANGE, "voltage exponent": EXPONENT_RANGE}
+_RANGES |= dict(zip(WARM_UP_NAMES, (DROP_RANGE, WARM_UP_RANGE)))
+
+
+def ranges_of(form: str, names: Sequence[str]) -> tuple[np.ndarray, np.ndarray]:
+    """Bounds low and high (p,) of parameters of a map; names  of its shape and of what all forms have."""
+    about = FORMS[form]
+    known = _RANGES | dict(zip(about.names, zip(about.low, about.high)))
+    low, high = np.array([known[name] for name in names], float).T
+    return low, high
 
 
 def shape(form: str, share: np.ndarray, ratio: np.ndarray | float, exponent: float, parameters: Any) -> np.ndarray:

@@ -166,6 +166,39 @@ def test_spread_over_flights_is_reported_and_the_medians_stand():
     assert found["command map"]["source"] == "fitted on 3 training flights"
 
 
+def test_errors_of_two_flights_hold_what_they_differ_by():
+    flights = {str(k): shares(made(20 + k, seconds=10, up=UP * f)) for k, f in enumerate((0.8, 1.2))}
+    up = actuators(flights, {k: np.ones(len(f), bool) for k, f in flights.items()}, [])["time constants up"]
+    assert up["std"] == pytest.approx([0.2 * UP] * 4, rel=0.1)  # half of the difference
+
+
+def test_the_error_of_the_exponent_takes_flights_for_independent_not_rotors():
+    """The four rotors of a flight share its battery: four equal values are one."""
+
+    def volts(t):
+        return 16.0 - 0.1 * t - 0.4 * (np.sin(t) > 0.5)
+
+    flights = {}
+    for k, exponent in enumerate((0.7, 0.9, 0.8)):
+        flights[str(k)] = shares(made(30 + k, seconds=10, voltage=volts, exponent=exponent))
+    found = actuators(flights, {k: np.ones(len(f), bool) for k, f in flights.items()}, [])
+    exponent = found["command map"]["voltage exponent"]
+    assert exponent["value"] == pytest.approx(0.8, abs=0.02)
+    assert exponent["std"] == pytest.approx(1.2533 * 0.1 / np.sqrt(3), rel=0.2)
+    one = actuators({"0": flights["0"]}, {"0": np.ones(len(flights["0"]), bool)}, [])
+    assert one["command map"]["voltage exponent"]["std"] > 0.0
+
+
+def test_a_flight_at_a_steady_voltage_does_not_move_the_map_from_its_reference():
+    flights = {
+        "a": shares(made(3, seconds=10, voltage=lambda t: 16.0 - 0.1 * t - 0.4 * (np.sin(t) > 0.5), exponent=0.8)),
+        "b": shares(made(4, seconds=10, voltage=lambda t: 18.0 + 0 * t, exponent=0.8)),
+    }
+    mapped = actuators(flights, {k: np.ones(len(f), bool) for k, f in flights.items()}, [])["command map"]
+    true = (mapped["reference voltage"] / 15.0) ** 0.8 * np.polyval(MAP[::-1], 0.5)
+    assert np.polyval(mapped["coefficients"][::-1], 0.5) == pytest.approx(true, rel=1e-2)
+
+
 def test_gaps_start_anew_and_rows_outside_are_not_compared():
     flight = shares(made(4))
     flight.loc[3000:3400, "command2"] = np.nan

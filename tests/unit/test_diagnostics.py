@@ -16,6 +16,7 @@ from quasi.scoring.score import _score_rows, compare_with_measurements, score_co
 from quasi.scoring.summary import format_summary
 from quasi.scoring.verdict import (
     derive_verdict,
+    describe_flights_without_voltage,
     describe_unusable_flights,
     group_axes_by_kind,
     lower_verdict,
@@ -71,6 +72,16 @@ def test_a_held_out_flight_that_is_unusable_judges_no_model(good):
     assert lowered["verdict"] == "usable with care" and lowered["summary"] == [sentence, *diagnosis["summary"]]
     assert lower_verdict({**diagnosis, "verdict": "unusable"}, [sentence])["verdict"] == "unusable"
     assert lower_verdict(diagnosis, []) == diagnosis
+
+
+def test_a_held_out_flight_without_the_voltage_that_its_map_needs_is_named():
+    commanded = ["w1", "command1_raw", "battery_voltage"]
+    flights = {"a": commanded, "b": commanded[:2], "c": ["w1"], "d": commanded[:2]}
+    drive = {"voltage exponent": {"value": 0.8}}
+    [sentence] = describe_flights_without_voltage(flights, drive, ["a", "b", "c"])
+    assert "held-out flight b logs no battery voltage" in sentence
+    for known in (None, {"voltage exponent": None}):
+        assert describe_flights_without_voltage(flights, known, ["a", "b", "c"]) == []
 
 
 @pytest.mark.parametrize("axis", list(TERMS))

@@ -14,6 +14,7 @@ from plain_rollout import Body, rollout_body
 from quasi.errors import ConfigError, ExpressionError
 from quasi.identification.candidates import read_specification
 from quasi.identification.fit import fit_axis
+from quasi.identification.map_error import add_map_error
 from quasi.identification.partition import partition
 from quasi.identification.redundancy import drop_redundant
 from quasi.model.build import assemble_model
@@ -358,3 +359,43 @@ def test_what_the_scheme_makes_constant_or_alike_is_derived_from_the_specificati
     assert len(notes) == 3
     bare, _ = drop_redundant(read_specification({"Fz": section}, "Fz", "s.json", False), SCHEME, AIRFRAME)
     assert "w2_1 + w2_2 + w2_3 + w2_4" in [t.expression for t in bare.fixed]  # it takes the constant's place
+
+
+def test_the_error_of_estimated_speeds_widens_intervals_as_without_the_scheme(model, flights):
+    table, error = flights["b"].iloc[:50], 0.02
+    drive = {"relative error": {"map": error, "total": error}}
+    bands = Model({**model.document, "rotor speeds": drive}).interval(table)
+    state, speeds, turning = table[list(INPUTS[:12])], table[list(INPUTS[12:16])], table[list(INPUTS[16:])]
+    slopes = model.jacobian(state, speeds, turning).rotor_speeds
+    added = np.sqrt(np.sum((slopes * speeds.to_numpy()[:, None] * error) ** 2, axis=2))
+    for k, axis in enumerate(AXES):  # the truth holds no noise: the width is that of the speeds
+        share = (bands[f"{axis}_upper"] - bands[axis]) / added[:, k]
+        assert share.min() > 1.9 and share.max() == pytest.approx(share.min(), rel=1e-4)
+
+
+def test_the_error_of_a_map_enters_normalised_coefficients(flights):
+    section = {"fixed": ["w_tot"], "candidates": []}
+    result = identify(flights, section, "Fz", SCHEME, True)
+    before = np.array(result["covariance"])
+    drive = {
+        "form": "speed", "parameters": {}, "estimated": ["time constant"], "covariance": [[1e-6]],
+        "time constant": {"value": 0.03},
+    }  # fmt: skip
+
+    def speeds(of):
+        factor = 1.0 + of["time constant"]["value"] - 0.03
+        return {k: f.assign(**{w: f[w] * factor for w in INPUTS[12:16]}) for k, f in flights.items()}
+
+    roles = partition(flights, [])
+    made = add_map_error(result, "Fz", drive, speeds, roles, AIRFRAME, HOVER, SCHEME)
+    moved = identify(speeds({"time constant": {"value": 0.031}}), section, "Fz", SCHEME, True)
+    change = [b["coefficient"] - a["coefficient"] for a, b in zip(result["terms"], moved["terms"])]
+    np.testing.assert_allclose(np.array(made["covariance"]) - before, np.outer(change, change), rtol=0.1)
+
+
+def test_regressors_with_a_root_of_what_is_positive_in_flight_are_no_multiples_of_each_other():
+    """At random states the voltage is negative too, where its root is no number."""
+    candidates = [{"vars": ["u", "v", "2*u"], "degree": 1, "sets": ["battery_voltage^0.5"]}]
+    specification = read_specification({"Fx": {"candidates": candidates}}, "Fx", "s.json", True)
+    found, _ = drop_redundant(specification, SCHEME, AIRFRAME)
+    assert len(found.candidates) == 2

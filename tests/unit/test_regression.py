@@ -128,3 +128,23 @@ def test_a_variance_that_would_be_negative_falls_back():
     alternating = np.tile([1.0, -1.0], 20)[:, None] + 0.0
     found = flat_top(alternating, [np.arange(40)], 2)
     assert found[0, 0] >= 0.0
+
+
+@pytest.mark.parametrize(("seconds", "flights", "low", "high"), [(13.5, 1, 1.15, 1.6), (40.0, 3, 0.9, 1.25)])
+def test_errors_of_few_independent_rows_are_as_much_too_small_as_the_limits_page_states(seconds, flights, low, high):
+    """Scatter of six coefficients over their stated errors, with regressors and residuals of 0.5 and 0.3 s memory."""
+    r, rows = np.random.default_rng(0), round(50 * seconds)
+
+    def coloured(memory, columns):
+        keep = np.exp(-0.02 / memory)
+        noise = r.standard_normal((rows, columns)) * np.sqrt(1 - keep**2)
+        return lfilter([1.0], [1.0, -keep], noise, axis=0)
+
+    values, variances = [], []
+    for _ in range(150):
+        a = np.concatenate([np.column_stack([np.ones(rows), coloured(0.5, 5)]) for _ in range(flights)])
+        z = np.concatenate([coloured(0.3, 1)[:, 0] for _ in range(flights)])
+        fit = least_squares(a, z, [np.arange(rows)] * flights)
+        values.append(fit.coefficients)
+        variances.append(np.diag(fit.covariance))
+    assert low < np.sqrt(np.mean(np.var(values, axis=0) / np.mean(variances, axis=0))) < high

@@ -16,7 +16,6 @@ from quasi.airframe import read_airframe
 from quasi.attitude import GRAVITY
 from quasi.errors import ConfigError, DataError, ShapeError, cautions
 from quasi.filtering.rotor_speeds import add_estimated_speeds, trim_of
-from quasi.identification import joint_fit
 from quasi.identification.flight_scatter import factor_error, variance_between
 from quasi.identification.geometry import contradicting_places
 from quasi.identification.joint_fit import JointFit, prepare_flight
@@ -33,6 +32,7 @@ from quasi.identification.taught_map import teach_map
 from quasi.importing.command_units import recognise_unit, scale_commands
 from quasi.model.model import Model
 from quasi.sensor_limits import find_missing_sources, find_silent_rotors
+from quasi.terms import rotor_map
 from quasi.terms.rotor_map import FORMS, delayed, drive_of_map, lagged, shape, speeds_of, steady_speeds
 
 MASSES = {"a": MASS, "b": MASS}
@@ -141,9 +141,9 @@ def test_errors_are_no_others_where_a_value_meets_its_bound(monkeypatch, bound):
         return fit.x[1], np.sqrt(fit.covariance[1, 1]), fit.errors["Mx"][0]
 
     late, std, factor = errors()
-    ends = list(joint_fit.DELAY_RANGE)
+    ends = list(rotor_map.DELAY_RANGE)
     ends[bound] = late
-    monkeypatch.setattr(joint_fit, "DELAY_RANGE", tuple(ends))
+    monkeypatch.setitem(rotor_map._RANGES, "delay", tuple(ends))
     at, near, of_factor = errors()
     assert at == pytest.approx(late, abs=1e-3)
     assert near == pytest.approx(std, rel=0.2) and of_factor == pytest.approx(factor, rel=0.2)
