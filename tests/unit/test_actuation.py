@@ -266,9 +266,9 @@ def test_a_slow_motor_is_slow_by_its_share_however_far_off_the_models_map_is(gai
     np.testing.assert_allclose(own * (1.0 + np.array(learned[7:11])), gains * speeds, rtol=2e-3)
 
 
-@pytest.mark.parametrize("rotor", [1, 4])
-@pytest.mark.parametrize("factor", [0.6, 1.4, 2.0])
-@pytest.mark.parametrize("references", [(), (11, 12)])
+@pytest.mark.parametrize(
+    ("rotor", "factor", "references"), [(1, 0.6, ()), (4, 2.0, ()), (4, 1.4, (11, 12)), (1, 2.0, (11, 12))]
+)
 def test_the_rotor_that_follows_later_than_the_others_is_named(rotor, factor, references):
     slower = tuple(factor if i == rotor - 1 else 1.0 for i in range(4))
     flights = [flown(s, compared=False) for s in references] + [flown(s, slower=slower) for s in (1, 2, 3)]

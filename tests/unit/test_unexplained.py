@@ -126,7 +126,7 @@ def test_what_changed_is_told_although_all_flights_lack_something_in_the_same_ch
     assert ("Fz", "room x", "changed") in {(u["channel"], u["where"], u["since"]) for u in said}
 
 
-@pytest.mark.parametrize("drag", [0.0, 0.001, 0.05])
+@pytest.mark.parametrize("drag", [0.0, 0.001])
 def test_a_cause_gives_way_to_a_place_that_explains_it_away_and_stays_where_it_is_there(ground, drag):
     effect, offer = catalogue()["body_drag"], Candidate("body_drag", "changed", (0,))
 
