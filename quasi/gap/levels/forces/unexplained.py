@@ -94,6 +94,11 @@ def search(
         """Mean squares (6,) before and at best, with constant errors where these are what it is about."""
         return (whole, floor) if where in (EVERYWHERE, IN_TIME) else (centred, centred_floor)
 
+    def left_by(fit: Joint, channel: int, where: str) -> float:
+        """Mean square, as of `sides`, of what a fit of causes and functions leaves."""
+        about_mean = where not in (EVERYWHERE, IN_TIME)
+        return float(wrench_score(held, lambda f: residual_of(f, fit, vehicle), about_mean).mean()[channel])
+
     def material(channel: int, where: str, gone: float, before: float, since: str) -> float | None:
         """The share of the removable squared error that is gone; nothing where that is too little."""
         before = max(before, gone)
@@ -116,15 +121,15 @@ def search(
         usual, here = _sizes(grounds, compared, place, test.value, held)
         if where in OWN_COVARIATES:
             others = joint_of(grounds, compared, causes, [(p, t) for p, t in found if p != place])
-            without, together = (wrench_score(held, lambda f, j=j: residual_of(f, j, vehicle), True).mean()
-                                 for j in (others, joint))  # fmt: skip
             # what only balances a cause of a tie, which the extended model does not hold, is no error of that model
-            worst = min(float(without[k]), float(centred[k]))
-            part = material(k, where, max(worst - float(together[k]), 0.0), worst, place.since)
+            before = min(left_by(others, k, where), float(centred[k]))
+            gone = before - left_by(joint, k, where)
         else:
             slope, _ = slope_of(grounds, compared, judge.parts, joint, place)
-            before = float(sides(where)[0][k])
-            part = material(k, where, max(2.0 * slope - 1.0, 0.0) * here**2, before, place.since)
+            before, gone = float(sides(where)[0][k]), max(2.0 * slope - 1.0, 0.0) * here**2
+            if gone > before:  # as above: more than there is
+                gone = before - left_by(joint, k, where)
+        part = material(k, where, max(gone, 0.0), before, place.since)
         # what a model's own terms depend on may be their form, unless healthy flights do not show it
         unjudged = here < SHOWN_SHARE * usual and (where not in OWN_COVARIATES or place.since == "changed")
         unjudged = unjudged and usual**2 > UNHEARD * float(found_in[k])
