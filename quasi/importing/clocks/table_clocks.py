@@ -113,8 +113,9 @@ def correct_source_lags(
             continue
         r, clock, relation = min(found, key=lambda f: f[1].lag_std)
         least = SIGMAS * clock.lag_std
-        if relation == BY_ROTOR_SPEEDS and (r.stamps is None or main.stamps is None):
-            least = max(least, ROTOR_LAG_BIAS)  # within the rows' own clock a smaller lag is estimated from yaw later
+        if relation == BY_ROTOR_SPEEDS:
+            # whoever stamped the rows: what inflow and damping make of them is no lag. Yaw gives a smaller one later
+            least += ROTOR_LAG_BIAS
         if abs(clock.lag) <= least:
             continue
         about[r.source.name]["lag of main stamps"]["applied"] = True
