@@ -13,6 +13,7 @@ from quasi.gap.base_model import Worth, worth_of
 from quasi.gap.catalogue import catalogue
 from quasi.gap.diagnosis import verdict_of
 from quasi.gap.effect import vehicle_of
+from quasi.gap.levels.forces.design import with_own_terms_anew
 from quasi.gap.levels.rollouts.confirmation import Confirmation, Settled
 from quasi.gap.losses import Loss, correcting_others, drive_losses, only_loss, reject_losing_causes, trim_is_usual
 from quasi.gap.statistics.candidates import Candidate
@@ -153,6 +154,21 @@ def test_an_axis_that_measures_nothing_is_excluded(flights):
         for e in evidence
     ]  # fmt: skip
     assert worth_of(model, empty).excluded == ("Fx",)
+
+
+def test_terms_that_hold_what_sensors_faked_count_as_fitted_anew(flights):
+    """An IMU away from the cg had doubled the sideward force; the flights are corrected since."""
+    model, evidence = flights
+    faked = [
+        replace(e, measured=e.predicted, predicted=e.predicted + 2.0 * e.only("Fy", e.predicted[:, 1]))
+        for e in evidence
+    ]
+    assert worth_of(model, faked).excluded == ("Fy",)
+    assert worth_of(model, with_own_terms_anew(faked)).excluded == ()
+    # what the terms cannot explain, they cannot explain anew either
+    rng = np.random.default_rng(0)
+    foreign = [replace(e, measured=e.measured + e.only("Fy", np.cumsum(rng.standard_normal(len(e))))) for e in evidence]
+    assert worth_of(model, with_own_terms_anew(foreign)).excluded == ("Fy",)
 
 
 @pytest.mark.parametrize(("share", "usual"), [(0.005, True), (0.2, False)])
