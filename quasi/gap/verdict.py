@@ -354,7 +354,11 @@ def _fainter_than_unknown(case: Case, settled: Settled, found: Found, left: unex
         axes = seen_in(cause.effect) if apart > 1.0 else [int(np.argmax(own / np.maximum(usual, 1e-300)))]
         for entry in unknown:
             channel, where, p = entry["channel"], entry["where"], entry["evidence"]["p"]
-            if AXES.index(channel) in axes and entry["since"] == cause.since and p < chance:
+            axis = AXES.index(channel)
+            # next to a cause that is far larger it may be the error of that one's form, however clear both are
+            if entry["size"] ** 2 < FORM_ERROR * own[axis]:
+                continue
+            if axis in axes and entry["since"] == cause.since and p < chance:
                 place = where_in_words(where)
                 return f"{channel} differs {place} in a way that no cause explains, and more clearly (p = {p:.2g})"
         return ""

@@ -8,12 +8,11 @@ from typing import Any
 import numpy as np
 
 from quasi.airframe import read_airframe, read_triple
-from quasi.importing.clocks.telemetry import rotor_age
+from quasi.importing.clocks.telemetry import YAW_EXPLAINED, rotor_age
 from quasi.importing.lever_arm import felt_too_much, hover_arm
 from quasi.importing.onboard_log import Onboard, Track
 
 SHARP_AGE = 0.6e-3  # s, standard error up to which an age of the rotor telemetry is corrected
-YAW_EXPLAINED = 0.96  # share of yaw that it explains; where less is, the best age can be centiseconds wrong
 LEAST_AGE = -1e-3  # s: telemetry cannot run ahead of the motion by more than filter delays are uncertain
 
 

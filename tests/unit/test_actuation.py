@@ -170,6 +170,16 @@ def test_late_commands_and_late_telemetry_are_a_tie_unless_the_motion_told_the_a
         assert abs(value - 0.008) < 3 * std
 
 
+def test_stamps_that_import_moved_to_fit_the_motion_say_nothing_of_the_age():
+    """Late telemetry in a source with stamps of its own: moved with its commands, it had the name of late commands."""
+    lag = {"applied": True, "from": "angular acceleration and rotor speeds"}
+    moved = {"sources": {"onboard": {"sources": {"esc": {"lag of main stamps": lag}}}}}
+    flights = [flown(s, told=True, late=0.008) for s in (1, 2, 3)]
+    level = examine([dataclasses.replace(f, metadata={**f.metadata, **moved}) for f in flights], MODEL, {})
+    assert not level.effects
+    assert set(level.ties[0]["ids"]) == {"command_delay", "telemetry_delay"}
+
+
 @pytest.mark.parametrize("held", [0.0, 0.002])
 def test_a_model_whose_delay_holds_the_age_of_the_telemetry_or_not_makes_no_healthy_flight_late(held):
     document = {**MODEL, "actuators": {**MODEL["actuators"], "delay": {"value": [held] * 4}}}

@@ -13,6 +13,7 @@ from quasi.gap.base_model import Worth, worth_of
 from quasi.gap.catalogue import catalogue
 from quasi.gap.diagnosis import verdict_of
 from quasi.gap.effect import vehicle_of
+from quasi.gap.levels.forces.design import with_own_terms_anew
 from quasi.gap.levels.rollouts.confirmation import Confirmation, Settled
 from quasi.gap.losses import Loss, correcting_others, drive_losses, only_loss, reject_losing_causes, trim_is_usual
 from quasi.gap.statistics.candidates import Candidate
@@ -155,6 +156,21 @@ def test_an_axis_that_measures_nothing_is_excluded(flights):
     assert worth_of(model, empty).excluded == ("Fx",)
 
 
+def test_terms_that_hold_what_sensors_faked_count_as_fitted_anew(flights):
+    """An IMU away from the cg had doubled the sideward force; the flights are corrected since."""
+    model, evidence = flights
+    faked = [
+        replace(e, measured=e.predicted, predicted=e.predicted + 2.0 * e.only("Fy", e.predicted[:, 1]))
+        for e in evidence
+    ]
+    assert worth_of(model, faked).excluded == ("Fy",)
+    assert worth_of(model, with_own_terms_anew(faked)).excluded == ()
+    # what the terms cannot explain, they cannot explain anew either
+    rng = np.random.default_rng(0)
+    foreign = [replace(e, measured=e.measured + e.only("Fy", np.cumsum(rng.standard_normal(len(e))))) for e in evidence]
+    assert worth_of(model, with_own_terms_anew(foreign)).excluded == ("Fy",)
+
+
 @pytest.mark.parametrize(("share", "usual"), [(0.005, True), (0.2, False)])
 def test_a_constant_error_is_a_trim_up_to_what_healthy_flights_differ_by(flights, share, usual):
     _, evidence = flights
@@ -230,7 +246,7 @@ def test_a_name_or_tie_gives_way_to_something_clearer_on_its_axis_that_no_cause_
     settled = SimpleNamespace(causes=[named], confirmations={("rotor_tilt", "changed"): confirmation}, dropped=[])
     settled._replace = lambda **new: SimpleNamespace(**{**vars(settled), **new})
     monkeypatch.setattr(verdict, "_power", lambda c, case: (np.eye(6)[c.axis], np.ones(6)))
-    entry = {"channel": channel, "where": "yaw rate", "since": since, "evidence": {"p": p}}
+    entry = {"channel": channel, "where": "yaw rate", "since": since, "evidence": {"p": p}, "size": 1.0}
     result = verdict._fainter_than_unknown(None, settled, found, SimpleNamespace(entries=[entry]))
     assert bool(result.causes) is bool(found.ties) is bool(found.stand_ins) is not gives_way
     if gives_way:
@@ -239,6 +255,21 @@ def test_a_name_or_tie_gives_way_to_something_clearer_on_its_axis_that_no_cause_
         assert {name: text for name, (_, text) in found.contradicted.items()} == dict.fromkeys(
             ("torque_factor", "inertia"), why
         )
+
+
+@pytest.mark.parametrize(("size", "stands"), [(0.1, True), (0.5, False)])
+def test_a_name_gives_not_way_to_what_may_be_the_error_of_its_form(monkeypatch, size, stands):
+    """A rotor with a seventh less thrust damps a seventh less as well, which leaves a roll moment along the pitch rate:
+    clearer than the name, which has to exceed differences between sessions, and a hundredth of its square."""
+    named = shown_by("rotor_effectiveness", 3e-5, 3)
+    confirmation = Confirmation(verdict.CONFIRMED, 1.0, 0.1, 5.0)
+    settled = SimpleNamespace(causes=[named], confirmations={(named.effect.id, "changed"): confirmation}, dropped=[])
+    settled._replace = lambda **new: SimpleNamespace(**{**vars(settled), **new})
+    monkeypatch.setattr(verdict, "_power", lambda c, case: (np.eye(6)[c.axis], np.ones(6)))
+    entry = {"channel": "Mx", "where": "pitch rate", "since": "changed", "evidence": {"p": 2e-9}, "size": size}
+    found = SimpleNamespace(ties=[], stand_ins=[], contradicted={})
+    result = verdict._fainter_than_unknown(None, settled, found, SimpleNamespace(entries=[entry]))
+    assert bool(result.causes) is stands
 
 
 @pytest.mark.parametrize(
@@ -251,7 +282,9 @@ def test_what_is_clearer_is_said_with_where_it_lives(monkeypatch, where, words):
     named, found = shown_by("rotor_tilt", 1e-9, 5), SimpleNamespace(ties=[], stand_ins=[])
     settled = Settled([named], [], {("rotor_tilt", "changed"): Confirmation("", 1.0, 0.1, 5.0)}, {}, [])
     monkeypatch.setattr(verdict, "_power", lambda c, case: (np.eye(6)[c.axis], np.ones(6)))
-    left = SimpleNamespace(entries=[{"channel": "Mz", "where": where, "since": "changed", "evidence": {"p": 1e-20}}])
+    left = SimpleNamespace(
+        entries=[{"channel": "Mz", "where": where, "since": "changed", "evidence": {"p": 1e-20}, "size": 1.0}]
+    )
     ((_, confirmation),) = verdict._fainter_than_unknown(None, settled, found, left).dropped
     assert confirmation.why.startswith(f"Mz differs {words} in a way that no cause explains")
 

@@ -10,6 +10,7 @@ from test_indiflight import FIELDS, as_csv, flown  # noqa: F401
 from quasi.errors import ConfigError, ReadError, cautions
 from quasi.importing.checks import check_recording, rows_in_spans
 from quasi.importing.checks.channels import frozen_sensor_spans
+from quasi.importing.checks.rotor_speeds import unreliable_spans
 from quasi.importing.flight import import_flight
 from quasi.importing.onboard_log import read_onboard
 from quasi.importing.series import Recording, Series
@@ -250,6 +251,18 @@ def coarse_gyro(still):
 def test_a_quiet_channel_in_coarse_steps_is_not_frozen():
     t, values = coarse_gyro(still=True)
     assert frozen_sensor_spans(t, values, np.ones(len(t), bool)) == []
+
+
+@pytest.mark.parametrize("still", [True, False])
+def test_a_rotor_that_hovers_calmly_in_coarse_steps_is_not_frozen(still):
+    # a rotor of 800 rad/s changes by less than one step of eRPM/100 for a second, while the others step now and then
+    t, values = coarse_gyro(still)
+    step = 100 / 7 * 2 * np.pi / 60
+    other = 800.0 + step * np.round(1.2 * np.sin(2.0 * t))
+    speeds = {"w1": 800.0 + step * np.round(values["p"] / 0.02), "w2": other, "w3": other[::-1], "w4": other + step}
+    found = [s for s in unreliable_spans(t, speeds) if "w1" in s.reason]
+    assert bool(found) is not still
+    assert all("constant in flight" in s.reason for s in found)
 
 
 def test_a_channel_that_jumps_after_it_kept_its_value_is_frozen():

@@ -72,6 +72,18 @@ def test_sources_that_agree_stay_where_they_are(tmp_path):
         np.testing.assert_array_equal(recording.series[f"onboard {source}"].t, frame["t"])
 
 
+@pytest.mark.parametrize(("late", "moved"), [(0.008, False), (0.04, True)])
+def test_stamps_of_its_own_do_not_make_a_lag_of_what_inflow_and_damping_do(tmp_path, late, moved):
+    # roll and pitch lead the rotors by up to 10 ms in logs whose clocks agree, whoever stamped the rows
+    mapping, frame = table(rotors_late=late)
+    frame["stamp"] = frame["t"] + 3e-4
+    mapping["sources"][0]["time"], mapping["sources"][2]["time"] = "t", "stamp"
+    recording = read(tmp_path, mapping, frame)
+    lag = recording.metadata["sources"]["motors"]["lag of main stamps"]
+    assert abs(lag["value"] + late) < 2e-3 and lag["std"] < 1e-3
+    assert lag["applied"] is moved
+
+
 @pytest.mark.parametrize("flying", [True, False])
 def test_frozen_rows_are_samples_at_rest_and_none_in_flight(tmp_path, flying):
     mapping, frame = table()

@@ -1,12 +1,14 @@
 """The age of the rotor telemetry, from yaw: planted delays come back, also where thrust leads in roll and pitch."""
 
 import numpy as np
+import pandas as pd
 import pytest
 from scipy.signal import lfilter
 
 from quasi.importing import imu_and_telemetry
 from quasi.importing.clocks.telemetry import Age, rotor_age
 from quasi.importing.onboard_log import Onboard, Track
+from quasi.importing.readers.table_reader import read_table_log
 
 RATE = 1000.0
 SPIN = np.array([1.0, -1.0, -1.0, 1.0])
@@ -59,6 +61,18 @@ def test_an_age_beyond_those_that_are_tried_is_not_precise():
 def test_flight_without_yaw_is_honest_about_it():
     sharp, dull = rotor_age(*flight(0.003)), rotor_age(*flight(0.003, yaw=0.01))
     assert dull.std > 3 * sharp.std
+
+
+@pytest.mark.parametrize("late", [-0.03, 0.04])
+def test_yaw_takes_off_a_lag_by_roll_and_pitch_what_inflow_and_damping_add(late, tmp_path):
+    t_rotor, speeds, t, rates = flight(late)
+    names = {"imu": ("p", "q", "r"), "motors": ("w1", "w2", "w3", "w4")}
+    columns = {"t": t, "stamp": t_rotor} | dict(zip(names["imu"], rates.T)) | dict(zip(names["motors"], speeds.T))
+    pd.DataFrame(columns).iloc[::4].to_csv(tmp_path / "log.csv", index=False)
+    sources = [{"name": n, "time": k, "columns": {c: c for c in names[n]}} for n, k in zip(names, ("t", "stamp"))]
+    lag = read_table_log(tmp_path / "log.csv", {"time": "t", "sources": sources}).metadata["sources"]["motors"]
+    lag = lag["lag of main stamps"]
+    assert lag["applied"] and abs(lag["value"] + late) < max(4 * lag["std"], 0.5e-3), lag
 
 
 def test_short_or_grounded_record_tells_nothing():

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from quasi.importing.checks.spans import InvalidSpan, constant_runs
+from quasi.importing.checks.spans import InvalidSpan, constant_runs, is_quiet, log_step
 
 SENSOR_CHANNELS = {"gyro": ("p", "q", "r"), "accelerometer": ("ax", "ay", "az")}
 # s: a gyro that logs whole deg/s repeats a value for 0.16 s at most in flight of the recordings that the tests read
@@ -16,8 +16,6 @@ def frozen_sensor_spans(
 ) -> list[InvalidSpan]:
     """Spans in which a channel is constant while the quadrotor flies; none where it is not known when it flies.
 
-    A quiet channel that is logged in coarse steps repeats a value too. It comes and goes by one step; a frozen one
-    jumps to what it missed.
     t (n,) s; values {quantity: (n,)}, NaN where missing; flying (n,) bool or None
     """
     spans: list[InvalidSpan] = []
@@ -25,17 +23,10 @@ def frozen_sensor_spans(
         return spans
     for sensor, names in SENSOR_CHANNELS.items():
         for name in (n for n in names if n in values):
-            moves = np.abs(np.diff(values[name]))
-            step = moves[moves > 0].min(initial=np.inf)
+            step = log_step(values[name])
             for a, b in constant_runs(t, np.where(flying, values[name], np.nan)):
-                if t[b - 1] - t[a] >= SHORTEST_FREEZE and not _is_quiet(values[name], a, b, step):
+                if t[b - 1] - t[a] >= SHORTEST_FREEZE and not is_quiet(values[name], a, b, step):
                     spans.append(
                         InvalidSpan(float(t[a]), float(t[b - 1]), f"{sensor} channel '{name}' is constant in flight")
                     )
     return spans
-
-
-def _is_quiet(values: np.ndarray, first: int, end: int, step: float) -> bool:
-    """Whether the values (n,) before and after a run from `first` up to `end` are one step of the log from it."""
-    around = [values[k] for k in (first - 1, end) if 0 <= k < len(values)]
-    return len(around) == 2 and all(abs(v - values[first]) < 1.5 * step for v in around)

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from quasi.importing.artefacts import spikes
-from quasi.importing.checks.spans import InvalidSpan, constant_runs
+from quasi.importing.checks.spans import InvalidSpan, constant_runs, is_quiet, log_step
 from quasi.importing.contradictions import FASTEST_ROTOR
 from quasi.sensor_limits import runs_of
 
@@ -126,10 +126,11 @@ def unreliable_spans(t: np.ndarray, values: Mapping[str, np.ndarray]) -> list[In
                 spans.append(
                     InvalidSpan(float(t[a]), float(t[b - 1]), f"rotor {name[1:]} ({name}) stands at 0 in flight")
                 )
+        step = log_step(speeds)
         changing = float(np.count_nonzero(flying[1:] & (np.diff(np.nan_to_num(speeds)) != 0)))
         usual = float(np.sum(np.diff(t)[flying[1:]])) / changing if changing else np.inf
         for a, b in constant_runs(t, np.where(flying & ~standing, speeds, np.nan)):
-            if t[b - 1] - t[a] < SHORTEST_ROTOR_FREEZE:
+            if t[b - 1] - t[a] < SHORTEST_ROTOR_FREEZE or is_quiet(speeds, a, b, step):
                 continue
             varies = any(changes[other][b - 1] > changes[other][a] for other in names if other != name)
             if varies or t[b - 1] - t[a] >= MANY_HOLDS * usual:

@@ -29,6 +29,22 @@ def constant_runs(t: np.ndarray, values: np.ndarray) -> np.ndarray:
     return runs
 
 
+def log_step(values: np.ndarray) -> float:
+    """The least change (n,) from one sample to the next; infinite where nothing changes."""
+    moves = np.abs(np.diff(values))
+    return float(moves[moves > 0].min(initial=np.inf))
+
+
+def is_quiet(values: np.ndarray, first: int, end: int, step: float) -> bool:
+    """Whether the values (n,) before and after a run from `first` up to `end` are one step of the log from it.
+
+    A quiet channel that is logged in coarse steps repeats a value too. It comes and goes by one step; a frozen one
+    jumps to what it missed.
+    """
+    around = [values[k] for k in (first - 1, end) if 0 <= k < len(values)]
+    return len(around) == 2 and all(abs(v - values[first]) < 1.5 * step for v in around)
+
+
 def merge_spans(spans: list[InvalidSpan]) -> list[InvalidSpan]:
     """Spans of one reason that overlap or nearly touch as one, in order of time within each reason."""
     merged: list[InvalidSpan] = []

@@ -6,6 +6,7 @@ or earlier than those of the gyro. The lag follows from the motion that both mea
 
 from collections.abc import Sequence
 from copy import copy
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -13,7 +14,15 @@ import numpy as np
 
 from quasi.attitude import body_rates, continuous
 from quasi.importing.clocks.clock_fit import ClockFit, Pair, uniform
-from quasi.importing.clocks.telemetry import GRID, TELEMETRY_BAND, acceleration_lag, best_fit, rotor_lag
+from quasi.importing.clocks.telemetry import (
+    GRID,
+    TELEMETRY_BAND,
+    YAW_EXPLAINED,
+    acceleration_lag,
+    best_fit,
+    rotor_age,
+    rotor_lag,
+)
 from quasi.importing.readers.table_mapping import QUATERNION, VECTOR_COLUMNS, Source
 from quasi.sensor_limits import runs_of
 
@@ -113,11 +122,15 @@ def correct_source_lags(
             continue
         r, clock, relation = min(found, key=lambda f: f[1].lag_std)
         least = SIGMAS * clock.lag_std
-        if relation == BY_ROTOR_SPEEDS and (r.stamps is None or main.stamps is None):
-            least = max(least, ROTOR_LAG_BIAS)  # within the rows' own clock a smaller lag is estimated from yaw later
+        if relation == BY_ROTOR_SPEEDS:
+            # whoever stamped the rows: what inflow and damping make of them is no lag. Yaw gives a smaller one later
+            least += ROTOR_LAG_BIAS
         if abs(clock.lag) <= least:
             continue
         about[r.source.name]["lag of main stamps"]["applied"] = True
+        if relation == BY_ROTOR_SPEEDS:
+            clock = _by_yaw(r, main, clock)
+            about[r.source.name]["lag of main stamps"] |= {"value": clock.lag, "std": clock.lag_std}
         for moved in same:
             moved.t = moved.t + clock.lag
         names = " and ".join(f"'{m.source.name}'" for m in same)
@@ -185,6 +198,17 @@ def _motion_lag(r: TableSource, main: TableSource) -> tuple[ClockFit | None, str
     if len(rotors) >= 3 and "p" in main.values:
         return rotor_lag(r.t, r.matrix(rotors), main.t, main.matrix(VECTOR_COLUMNS["rates"])), BY_ROTOR_SPEEDS
     return None, ""
+
+
+def _by_yaw(r: TableSource, main: TableSource, clock: ClockFit) -> ClockFit:
+    """A lag by roll and pitch without what inflow and damping make of it, where yaw shows the rest."""
+    span = _liveliest(main)
+    r, main = _within(r, span), _within(main, span)
+    rotors = [n for n in r.values if n[0] == "w" and n[1:].isdigit()]
+    age = rotor_age(r.t + clock.lag, r.matrix(rotors), main.t, main.matrix(VECTOR_COLUMNS["rates"]))
+    if age is None or age.explained <= YAW_EXPLAINED or SIGMAS * age.std >= ROTOR_LAG_BIAS:
+        return clock
+    return replace(clock, lag=clock.lag - age.value, lag_std=age.std)
 
 
 def _attitude_lag(r: TableSource, main: TableSource) -> ClockFit | None:

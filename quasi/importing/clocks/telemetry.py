@@ -24,6 +24,7 @@ GRID = 200.0  # Hz
 TELEMETRY_BAND = 12.0  # Hz
 LONGEST_TELEMETRY_AGE = 0.15  # s
 AGE_GRID, AGE_BAND = 250.0, 30.0  # Hz
+YAW_EXPLAINED = 0.96  # share of yaw that an age explains; where less is, the best age can be centiseconds wrong
 AGES, AGE_STEP = (-0.010, 0.040), 0.001  # s, tried ages of the rotor telemetry, and their step at most
 NOISE_SHARE = 0.9  # of a combination of columns up to which motion is left: noise itself is known to some percent
 BLOCKS = 12  # pieces of a flight, for the standard error

@@ -34,7 +34,8 @@ from quasi.gap.profile import Profile
 from quasi.gap.selection import EXACT, Selection, select_causes
 from quasi.gap.statistics.blocks import BLOCK
 from quasi.gap.statistics.candidates import Candidate, Columns
-from quasi.importing.imu_and_telemetry import YAW_EXPLAINED
+from quasi.importing.clocks.table_clocks import BY_ROTOR_SPEEDS
+from quasi.importing.clocks.telemetry import YAW_EXPLAINED
 from quasi.model.columns import ROTORS
 from quasi.model.extensions import are_estimated, has_lag_of_extension
 from quasi.terms.rotor_map import ROTOR_NUMBERS, SHARES
@@ -254,7 +255,16 @@ def _age(flown: Flown) -> tuple[float, float, float | None]:
     if not found.get("applied"):
         return 0.0, 0.0, None
     value, std = found["age"]["value"], float(np.hypot(found["age"]["std"], AGE_SPREAD))
-    return value, value, std if found.get("explained variance", 0.0) > YAW_EXPLAINED else None
+    # stamps that import moved to where the speeds fit the motion leave no age: late telemetry would look like none
+    shown = found.get("explained variance", 0.0) > YAW_EXPLAINED and not _moved_to_fit(flown)
+    return value, value, std if shown else None
+
+
+def _moved_to_fit(flown: Flown) -> bool:
+    """Whether import moved a source of rotor speeds, and the commands in it, to where the speeds fit the motion."""
+    sources = ((flown.metadata.get("sources") or {}).get("onboard") or {}).get("sources") or {}
+    lags = [source.get("lag of main stamps") or {} for source in sources.values()]
+    return any(lag.get("applied") and lag.get("from") == BY_ROTOR_SPEEDS for lag in lags)
 
 
 class Products(NamedTuple):

@@ -2,6 +2,7 @@
 
 import re
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -152,6 +153,20 @@ def base_columns(evidence: Evidence) -> list[tuple[str, np.ndarray]]:
             values = program.run(known, len(evidence))[0]
             result.append((f"{axis}: {term['expression']}", evidence.only(axis, values)))
     return result
+
+
+def with_own_terms_anew(flights: Sequence[Evidence]) -> list[Evidence]:
+    """Flights with what their model's terms, fitted to all of them without their means, would predict."""
+    if not flights:
+        return []
+    columns = [np.stack([c for _, c in base_columns(e)], axis=-1) for e in flights]  # (n, 6, P)
+    swings = [c - c.mean(axis=0) for c in columns]
+    change = np.zeros((len(AXES), columns[0].shape[-1]))
+    for k in range(len(AXES)):
+        left = np.concatenate([e.residual[:, k] - e.residual[:, k].mean() for e in flights])
+        own = np.concatenate([c[:, k] for c in swings])
+        change[k] = np.linalg.lstsq(own, left, rcond=None)[0]
+    return [replace(e, predicted=e.predicted + np.einsum("nkp,kp->nk", c, change)) for e, c in zip(flights, columns)]
 
 
 def bounds_of(effect: Effect, vehicle: Vehicle) -> np.ndarray:
