@@ -68,6 +68,15 @@ def test_a_bias_that_held_out_flights_do_not_have_loses_its_name_and_says_why(bi
     assert any("stay corrected for it" in n for n in levels["sensors"]["notes"])
 
 
+def test_a_bias_that_is_next_to_nothing_where_it_was_found_has_no_name_whatever_held_out_flights_gain(biased):
+    levels = json.loads(json.dumps(biased))
+    levels["sensors"]["found on"]["worth"]["gyro_bias"] = 0.02
+    reject_immaterial(levels, [], [moved(3)], SHARE)
+    assert not levels["sensors"]["effects"]
+    (lost,) = [c for c in levels["sensors"]["candidates"] if c["id"] == "gyro_bias"]
+    assert "removes 2 % of the removable error on the flights that it was found on, expected 5 %" in lost["why_not"]
+
+
 def test_one_axis_does_not_confirm_a_bias_that_makes_the_rates_together_worse(biased):
     for left, kept in ((-0.08, False), (-0.04, True)):  # of roll, where 0.08 was taken off; yaw is as it was found
         levels = json.loads(json.dumps(biased))

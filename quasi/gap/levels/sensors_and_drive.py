@@ -104,7 +104,8 @@ def found_on(level: Level, flights: Sequence[Flown]) -> dict[str, Any]:
 def reject_immaterial(
     levels: Mapping[str, Mapping[str, list[Any]]], first: Sequence[Flown], last: Sequence[Flown], share: float
 ) -> None:
-    """Reject effects and ties of sensors and drive that remove too little error on held-out flights, in place.
+    """Reject effects and ties of sensors and drive that remove too little error on held-out flights, or on the compared
+    ones that they were found on, in place.
 
     levels  {"sensors", "drive": lists "effects", "ties", "candidates", "notes", and "found on"}, see `plain`
     first, last  held-out flights before and after the calibration; share  least share of some channel's removable error
@@ -143,16 +144,18 @@ def reject_immaterial(
                     f"held-out flights hardly excite {_words(entry)}; what it removes of their error is unknown"
                 )
             elif np.nanmax(confirmed) < share:
-                _reject(level, entry, name, max(np.nanmax(confirmed), 0.0), share)
+                _reject(level, entry, name, max(np.nanmax(confirmed), 0.0), share, "held-out flights")
+            elif (worth := about["worth"].get(cause, np.inf)) < share:
+                # what held-out flights seem to gain by it is an error of their own session that happens to look alike
+                _reject(level, entry, name, max(worth, 0.0), share, "the flights that it was found on")
 
 
-def _reject(level: Mapping[str, list[Any]], entry: Mapping[str, Any], name: str, removed: float, share: float) -> None:
+def _reject(
+    level: Mapping[str, list[Any]], entry: Mapping[str, Any], name: str, removed: float, share: float, where: str
+) -> None:
     """Move an effect or a tie to the causes that were asked and are not named, with the reason."""
     level["effects" if "id" in entry else "ties"].remove(entry)
-    why = (
-        f"there, but it removes {100 * removed:.0f} % of the removable error on held-out flights, expected "
-        f"{100 * share:.0f} %"
-    )
+    why = f"there, but it removes {100 * removed:.0f} % of the removable error on {where}, expected {100 * share:.0f} %"
     wald = entry["evidence"].get("wald") if "id" in entry else entry.get("wald")
     level["candidates"] += [
         {"id": i, "since": entry["since"], "score": wald, "p": None, "why_not": why}
