@@ -28,7 +28,7 @@ from quasi.gap.levels.drive.fit import (
     fit_drive,
     reference_voltage,
 )
-from quasi.gap.levels.drive.prediction import DELAY
+from quasi.gap.levels.drive.prediction import DELAY, EXPONENT
 from quasi.gap.levels.selected import report_selection
 from quasi.gap.profile import Profile
 from quasi.gap.selection import EXACT, Selection, select_causes
@@ -40,7 +40,6 @@ from quasi.model.columns import ROTORS
 from quasi.model.extensions import are_estimated, has_lag_of_extension
 from quasi.terms.rotor_map import ROTOR_NUMBERS, SHARES
 
-EXPONENT = CONSTANTS.index("exponent")
 OWN_LAGS = tuple(f"lag{i}" for i in ROTOR_NUMBERS)
 TIMING = ("up", "down", "delay", *OWN_LAGS)  # constants that output error errs in
 # constants that a cause changes
