@@ -83,9 +83,9 @@ class DriveFit(NamedTuple):
         least[EXPONENT, EXPONENT] = (LEAST_DRIVE_NOISE * self.exponent.by_noise) ** 2 + self.exponent.held**2
         return along @ (meat + least) @ along.T
 
-    def has_odd_lag(self) -> bool:
-        """Whether the errors ask for a lag of one rotor that differs from the others'."""
-        own = self._along()[LAG:] @ self._scores().sum(axis=0)
+    def has_odd_lag(self, usual: np.ndarray) -> bool:
+        """Whether a rotor's own lag, where those are free, departs from usual logarithms (4,) as the others' do not."""
+        own = self.values[LAG:] - usual
         return bool(np.any(np.abs(own - own.mean()) > ODD_T * self.lag_errors()))
 
     def lag_errors(self) -> np.ndarray:
