@@ -316,6 +316,15 @@ def test_the_rotor_that_follows_later_than_the_others_is_named(rotor, factor, re
     assert own["value"] == pytest.approx(factor, abs=3.0 * own["std"])
 
 
+def test_a_rotor_that_follows_later_is_named_from_short_flights_as_well():
+    """With one lag for all, the errors that the slow one makes hid it in flights as short as these."""
+    tables = [flown(s, slower=(1.0, 1.0, 1.8, 1.0)).filtered.query("t < 5") for s in (1, 2, 3)]
+    flights = [dataclasses.replace(flown(s), imported=t, filtered=t) for s, t in zip((1, 2, 3), tables)]
+    found, _, parameters = only(examine(flights, MODEL, {}))
+    assert found == "motor_lag" and set(parameters) == {"rotor3"}
+    assert parameters["rotor3"][0] == pytest.approx(1.8, rel=0.05)
+
+
 def test_a_rotor_that_always_follows_later_is_no_change_and_four_slow_ones_are_none():
     late = (1.0, 1.4, 1.0, 1.0)
     flights = [flown(s, compared=False, slower=late) for s in (11, 12)] + [flown(s, slower=late) for s in (1, 2, 3)]
