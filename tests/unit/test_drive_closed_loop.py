@@ -209,7 +209,8 @@ def test_a_rotor_is_no_odder_than_so_few_samples_can_show():
     """Four rows of a flight let the four rotors take any speed that the prior allows."""
     fit = fit_drive(flown(1), "shares", START)
     sure = DriveFit(**{**fit._asdict(), "values": fit.values + np.eye(15)[10] * -0.04})
-    few = sure._replace(residual=sure.residual[:4], slopes=sure.slopes[:4], t=sure.t[:4])
+    exponent = sure.exponent._replace(moves=sure.exponent.moves[:4])
+    few = sure._replace(residual=sure.residual[:4], slopes=sure.slopes[:4], t=sure.t[:4], exponent=exponent)
     flights = [flown(1), flown(2)]
     (finding,) = weak(flights, [sure, sure])
     assert finding["evidence"]["rotor"] == 4 and finding["evidence"]["speed"] == pytest.approx(0.96, abs=0.01)

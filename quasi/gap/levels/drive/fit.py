@@ -13,7 +13,7 @@ import numpy as np
 from quasi.errors import DataError
 from quasi.gap.flights.evidence import RATE
 from quasi.gap.flights.level import Flown
-from quasi.gap.levels.drive.prediction import LAG, Prediction
+from quasi.gap.levels.drive.prediction import EXPONENT, LAG, ExponentErrors, Prediction
 from quasi.gap.statistics.whitening import thin
 from quasi.identification.regression import bartlett
 from quasi.importing.command_fit import RESIDUAL_MEMORY
@@ -54,7 +54,7 @@ class DriveFit(NamedTuple):
     errors before do not predict; slopes (n, 4, 15) of the predicted speed
     held (15,) rad2/s2 per unit squared: how strongly each value was held where the fit began; noise rad/s that weighed
     the residual against that
-    plain (15,)  the constants by output error
+    plain (15,)  the constants by output error; exponent  how far off the battery's exponent is, which is of these
     """
 
     key: str
@@ -67,22 +67,25 @@ class DriveFit(NamedTuple):
     noise: float
     rate: float
     plain: np.ndarray
+    exponent: ExponentErrors
 
     def covariance(self) -> np.ndarray:
         """Of the values (15, 15), whatever the residuals remember and however they depart from a lag of first order.
 
         Source: Newey & West, Econometrica 55, 1987 (scores summed over lags with falling weights).
         """
-        inverse = self._inverse()
-        scores = np.einsum("ncp,nc->np", self.slopes, self.residual)
+        along, scores = self._along(), self._scores()
         meat = bartlett(scores, [np.arange(len(scores))], _memory(self.rate))
         flat = self.slopes.reshape(-1, len(CONSTANTS))
         # a value that is only held may be off by its looseness, noise / sqrt(held)
-        return inverse @ (meat + LEAST_DRIVE_NOISE**2 * flat.T @ flat + self.noise**2 * np.diag(self.held)) @ inverse
+        least = LEAST_DRIVE_NOISE**2 * flat.T @ flat + self.noise**2 * np.diag(self.held)
+        least[EXPONENT] = least[:, EXPONENT] = 0.0
+        least[EXPONENT, EXPONENT] = (LEAST_DRIVE_NOISE * self.exponent.by_noise) ** 2 + self.exponent.held**2
+        return along @ (meat + least) @ along.T
 
-    def has_odd_lag(self) -> bool:
-        """Whether the errors ask for a lag of one rotor that differs from the others'."""
-        own = self._inverse()[LAG:] @ np.einsum("ncp,nc->p", self.slopes, self.residual)
+    def has_odd_lag(self, usual: np.ndarray) -> bool:
+        """Whether a rotor's own lag, where those are free, departs from usual logarithms (4,) as the others' do not."""
+        own = self.values[LAG:] - usual
         return bool(np.any(np.abs(own - own.mean()) > ODD_T * self.lag_errors()))
 
     def lag_errors(self) -> np.ndarray:
@@ -103,7 +106,8 @@ class DriveFit(NamedTuple):
             return self
         residual, slopes = some.columns[:, :, 0], some.columns[:, :, 1:]
         rate = 1.0 / float(np.median(np.diff(self.t[some.rows])))
-        return self._replace(t=self.t[some.rows], residual=residual, slopes=slopes, rate=rate)
+        errors = self.exponent._replace(moves=np.add.reduceat(self.exponent.moves, some.rows))
+        return self._replace(t=self.t[some.rows], residual=residual, slopes=slopes, rate=rate, exponent=errors)
 
     def breaks(self) -> np.ndarray:
         """True (n,) where a stretch without gaps begins."""
@@ -111,16 +115,29 @@ class DriveFit(NamedTuple):
 
     def moves(self, seconds: float) -> np.ndarray:
         """What each block of the flight adds to the values (B, 15), to first order; they sum to nothing much."""
-        scores = np.einsum("ncp,nc->np", self.slopes, self.residual)
+        scores = self._scores()
         number = ((self.t - self.t[0]) / seconds).astype(int)
         parts = np.array([scores[number == n].sum(axis=0) for n in np.unique(number)])
-        return (parts - parts.mean(axis=0)) @ self._inverse()
+        return (parts - parts.mean(axis=0)) @ self._along().T
 
-    def _inverse(self) -> np.ndarray:
+    def _scores(self) -> np.ndarray:
+        """What each row adds to the slopes of the squared error (n, 15), and to the exponent itself."""
+        scores = np.einsum("ncp,nc->np", self.slopes, self.residual)
+        scores[:, EXPONENT] = self.exponent.moves
+        return scores
+
+    def _along(self) -> np.ndarray:
+        """What the values move by per unit of the scores (15, 15); the others follow where the exponent goes."""
         flat = self.slopes.reshape(-1, len(CONSTANTS))
         normal = flat.T @ flat + np.diag(self.held)
         scale = np.sqrt(np.diag(normal))
-        return np.linalg.inv(normal / np.outer(scale, scale)) / np.outer(scale, scale)
+        scaled = normal / np.outer(scale, scale)
+        rest = np.arange(len(CONSTANTS)) != EXPONENT
+        along = np.zeros_like(normal)
+        along[np.ix_(rest, rest)] = inverse = np.linalg.inv(scaled[np.ix_(rest, rest)])
+        along[rest, EXPONENT] = -inverse @ scaled[rest, EXPONENT]
+        along[EXPONENT, EXPONENT] = 1.0
+        return along / np.outer(scale, np.where(rest, scale, 1.0 / scale))
 
 
 def commanded(flown: Flown) -> str:
@@ -205,11 +222,11 @@ def fit_drive(flown: Flown, kind: str, start: Belief, has_own_lags: bool = False
     size = SIZES * [MAP_UNITS[kind].get(n, 1.0) for n in CONSTANTS]
     loose = LOOSE if kind == "shares" else np.concatenate([LOOSE[:3], [200.0, 0.3, 1e-9], LOOSE[6:]])
     noise = max(0.02 * float(np.std(log.target)), 1.0)  # rad/s, weighs the looseness against the data
-    plain, x = log.fit(start.values, loose, noise, size, has_own_lags | (np.arange(len(CONSTANTS)) < LAG))
+    plain, x, exponent = log.fit(start.values, loose, noise, size, has_own_lags | (np.arange(len(CONSTANTS)) < LAG))
     return DriveFit(
         flown.key, x, log.t[log.kept()], log.errors(x), log.slopes(x),
         volts is not None and float(np.std(log.ratio[log.rows])) > LEAST_SAG, (noise / loose) ** 2, noise, log.rate,
-        plain,
+        plain, exponent,
     )  # fmt: skip
 
 

@@ -28,7 +28,7 @@ from quasi.gap.levels.drive.fit import (
     fit_drive,
     reference_voltage,
 )
-from quasi.gap.levels.drive.prediction import DELAY
+from quasi.gap.levels.drive.prediction import DELAY, EXPONENT, LAG
 from quasi.gap.levels.selected import report_selection
 from quasi.gap.profile import Profile
 from quasi.gap.selection import EXACT, Selection, select_causes
@@ -40,7 +40,6 @@ from quasi.model.columns import ROTORS
 from quasi.model.extensions import are_estimated, has_lag_of_extension
 from quasi.terms.rotor_map import ROTOR_NUMBERS, SHARES
 
-EXPONENT = CONSTANTS.index("exponent")
 OWN_LAGS = tuple(f"lag{i}" for i in ROTOR_NUMBERS)
 TIMING = ("up", "down", "delay", *OWN_LAGS)  # constants that output error errs in
 # constants that a cause changes
@@ -215,12 +214,13 @@ def _fits(flights: Sequence[Flown], kind: str, start: Belief, level: Level) -> t
         try:
             if commanded(flown) != kind:
                 raise DataError(f"flight {flown.key} has no rotor commands of the kind that the others log")
-            fits.append(fit_drive(flown, kind, start))
+            fits.append(fit_drive(flown, kind, start, has_own_lags=True))
             used.append(flown)
         except DataError as error:
             level.notes.append(f"{error}; it is left out of the comparison of commands with speeds")
-    if any(fit.has_odd_lag() for fit in fits):
-        fits = [fit_drive(flown, kind, start, has_own_lags=True) for flown in used]
+    # with one lag for all, the errors that an odd one makes are so large that they hide it
+    if not any(fit.has_odd_lag(start.values[LAG:]) for fit in fits):
+        fits = [fit_drive(flown, kind, start) for flown in used]
     return used, fits
 
 

@@ -8,9 +8,16 @@ memory, nothing is predicted of it, and the fit is one by output error.
 
 Commands and speeds are those that were logged. A low-pass without delay mixes in noise to come. So do the straight
 lines that import draws between samples, by half an interval; `identify.usual_spreads` allows for that.
+
+The battery's exponent stays the one of output error. A battery's voltage changes slowly, and so do most errors. What is
+new at each moment holds little of that voltage, but all the noise of its readings. By what is new alone, the exponent
+came out too near to zero, the more so the noisier the readings.
 Sources: Ljung, System Identification, 2nd ed., 1999, chapter 13 (direct identification in closed loop); Soederstrom &
-Stoica, System Identification, 1989, chapters 7 (errors made white by an autoregression, in turns) and 10.
+Stoica, System Identification, 1989, chapters 7 (errors made white by an autoregression, in turns) and 10; Carroll et
+al., Measurement Error in Nonlinear Models, 2nd ed., 2006, chapter 3 (a noisy regressor has too small a coefficient).
 """
+
+from typing import NamedTuple
 
 import numpy as np
 from scipy.optimize import minimize_scalar
@@ -33,8 +40,21 @@ TRIED_LAGS = np.geomspace(LEAST_LAG, MOST_LAG, 9)  # s, about twice as long each
 MOST_APART = 2.0  # of the logarithm of a rotor's lag over the others'
 DELAY = 2  # place of the delay among the constants
 MAP = slice(3, 6)  # places of the map's coefficients
+EXPONENT = 6  # place of the battery's exponent
 SPEED_SHARE = 7  # place of the first rotor's share of the speed
 LAG = 11  # place of the logarithm of the first rotor's lag over the others'
+
+
+class ExponentErrors(NamedTuple):
+    """How far a battery's exponent by output error may be off.
+
+    moves (m,)  what the error of each kept row adds to it, to first order; by_noise  standard error per rad/s of noise
+    in all compared speeds; held  standard error by where the fit began
+    """
+
+    moves: np.ndarray
+    by_noise: float
+    held: float
 
 
 class Prediction:
@@ -97,7 +117,7 @@ class Prediction:
         where they are asked
         """
         c, moves = self.commands[i], NO_SLOPES
-        volt = np.ones(len(c)) if self.ratio is None else np.exp(x[6] * self.ratio)
+        volt = np.ones(len(c)) if self.ratio is None else np.exp(x[EXPONENT] * self.ratio)
         wanted = volt * (_mapped(x, c) + x[SPEED_SHARE + i] * self.first[i])
         if len(slopes):
             sagging = np.zeros(len(c)) if self.ratio is None else wanted * self.ratio
@@ -137,8 +157,8 @@ class Prediction:
 
     def fit(
         self, start: np.ndarray, loose: np.ndarray, noise: float, size: np.ndarray, free: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Constants by output error, and those that predict best.
+    ) -> tuple[np.ndarray, np.ndarray, ExponentErrors]:
+        """Constants by output error; those that predict best, with that exponent; how far the exponent may be off.
 
         start, loose (15,)  where they are held and how loosely; noise  rad/s, weighs that; size (15,)  of a step; free
         (15,)  False for those that stay at start
@@ -189,15 +209,22 @@ class Prediction:
 
         x = start.copy()
         x[:3] = np.clip(x[:3], low[:3] + 1e-3, high[:3])
-        plain = descend(x, free, max(round(self.rate / RATE), 1))[0]
+        every = max(round(self.rate / RATE), 1)
+        plain, slopes = descend(x, free, every)
+        weights = np.linalg.solve(slopes.T @ slopes, slopes.T)[np.count_nonzero(free[:EXPONENT])] * size[EXPONENT]
+        of_rows, of_held = np.split(weights, [4 * len(self.rows[::every])])
+        moves = np.zeros(len(self.rows))
+        moves[::every] = -np.sum((of_rows * weighed(plain, every)[: len(of_rows)]).reshape(-1, 4), axis=1)
         x = self._with_own_map(plain, start)
+        free = free & (np.arange(len(x)) != EXPONENT)
         rest = free & (np.arange(len(x)) != DELAY)
         for _ in range(DELAY_SEARCHES):
             self.learn(x)
             x, slopes = descend(self._nearest(x), rest)
             self.learn(x)
             x = descend(delayed(x, slopes), rest)[0]
-        return plain, x
+        by_noise, held = float(np.linalg.norm(of_rows)) / noise, float(np.linalg.norm(of_held))
+        return plain, x, ExponentErrors(moves[self._known()], by_noise, held)
 
     def _with_own_map(self, x: np.ndarray, start: np.ndarray) -> np.ndarray:
         """x with shares of the speed by its own map, which takes what all rotors have: the start's may be far off."""
