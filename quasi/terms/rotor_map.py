@@ -66,14 +66,14 @@ FORMS = {
     "thrust map": Form(("saturation",), (0.5,), (0.01,), (0.98,)),
     "speed": Form((), (), (), ()),
 }
-_RANGES = {"time constant": TAU_RANGE, "delay": DELAY_RANGE, "voltage exponent": EXPONENT_RANGE}
-_RANGES |= dict(zip(WARM_UP_NAMES, (DROP_RANGE, WARM_UP_RANGE)))
+_VALUE_RANGES = {"time constant": TAU_RANGE, "delay": DELAY_RANGE, "voltage exponent": EXPONENT_RANGE}
+_VALUE_RANGES |= dict(zip(WARM_UP_NAMES, (DROP_RANGE, WARM_UP_RANGE)))
 
 
 def ranges_of(form: str, names: Sequence[str]) -> tuple[np.ndarray, np.ndarray]:
     """Bounds low and high (p,) of parameters of a map; names  of its shape and of what all forms have."""
     about = FORMS[form]
-    known = _RANGES | dict(zip(about.names, zip(about.low, about.high)))
+    known = _VALUE_RANGES | dict(zip(about.names, zip(about.low, about.high)))
     low, high = np.array([known[name] for name in names], float).T
     return low, high
 

@@ -14,7 +14,7 @@ from numba import njit
 from scipy.linalg import solve_toeplitz
 from scipy.signal import fftconvolve, firwin
 
-LOOP = 512  # values, about as many as the fastest memory holds with those of all orders
+LOOP_LENGTH = 512  # values, about as many as the fastest memory holds with those of all orders
 WHITENING_RIDGE = 1e-6  # of the variance, so that a silent band does not make the recursion singular
 
 
@@ -107,7 +107,7 @@ def whiten(columns: np.ndarray, breaks: np.ndarray, whitener: Whitener) -> tuple
     parts, rows = [], []
     row = columns[:1].size
     weights = np.repeat((whitener.coefficients / whitener.scale[:, None]).T, columns.shape[2], axis=1)
-    weights = np.tile(weights, max(LOOP // max(row, 1), 1))
+    weights = np.tile(weights, max(LOOP_LENGTH // max(row, 1), 1))
     for part in stretches(breaks):
         if part.stop - part.start <= order:
             continue
