@@ -143,7 +143,7 @@ def test_errors_are_no_others_where_a_value_meets_its_bound(monkeypatch, bound):
     late, std, factor = errors()
     ends = list(rotor_map.DELAY_RANGE)
     ends[bound] = late
-    monkeypatch.setitem(rotor_map._RANGES, "delay", tuple(ends))
+    monkeypatch.setitem(rotor_map._VALUE_RANGES, "delay", tuple(ends))
     at, near, of_factor = errors()
     assert at == pytest.approx(late, abs=1e-3)
     assert near == pytest.approx(std, rel=0.2) and of_factor == pytest.approx(factor, rel=0.2)
