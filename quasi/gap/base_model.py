@@ -1,13 +1,19 @@
 """Whether the compared model is worth a comparison: axes on which it explains nothing neither name nor judge causes."""
 
 from collections.abc import Mapping, Sequence
-from typing import NamedTuple
+from dataclasses import replace
+from typing import Any, NamedTuple
 
 import numpy as np
+import pandas as pd
 
 from quasi.attitude import GRAVITY
 from quasi.filtering.forces import half_length
+from quasi.gap.effect import Vehicle
 from quasi.gap.flights.evidence import Evidence
+from quasi.gap.levels.forces.case import Case
+from quasi.gap.levels.forces.design import gather_design, with_own_terms_anew
+from quasi.gap.losses import losses
 from quasi.gap.statistics.whitening import stretches
 from quasi.model.model import AXES, Model
 
@@ -90,3 +96,32 @@ def worth_of(model: Model, reference: Sequence[Evidence]) -> Worth:
     excluded = tuple(AXES[k] for k in poor if remembered[k] >= NEAR_NOTHING)
     wrong = "; ".join(model.document.get("contradictions") or [])
     return Worth(shares, excluded, wrong)
+
+
+def by_role(evidence: Mapping[str, Evidence], roles: Mapping[str, str]) -> dict[str, list[Evidence]]:
+    """Flights by what they are for."""
+    return {r: [e for k, e in evidence.items() if roles[k] == r] for r in ("reference", "compared", "held out")}
+
+
+def worth_after(model: Model, healthy: Sequence[Evidence], corrected: bool) -> Worth:
+    """What the model explains of reference flights: of `corrected` ones by its own terms fitted anew.
+
+    Its terms hold what the sensors faked: as they are they explain little of corrected flights.
+    """
+    return worth_of(model, with_own_terms_anew(healthy) if corrected else healthy)
+
+
+def refit_loses(
+    model: Model, groups: Mapping[str, Sequence[Evidence]], tables: Mapping[str, pd.DataFrame], vehicle: Vehicle,
+    settings: Mapping[str, Any],
+) -> bool:  # fmt: skip
+    """Whether the model's own terms, fitted anew to corrected flights without any cause, do worse on held-out ones."""
+    learning = [*groups["reference"], *groups["compared"]]
+    if not learning or not groups["held out"]:
+        return False
+    positions = tuple(AXES.index(a) for a in worth_after(model, groups["reference"], True).excluded)
+    learning, held = ([replace(e, excluded=positions) for e in flights] for flights in (learning, groups["held out"]))
+    compared = [False] * len(groups["reference"]) + [True] * len(groups["compared"])
+    case = Case(model, {}, vehicle, learning, compared, held, tables, [], True, settings)
+    fitted = Model(case.extended([], gather_design(learning, {}, vehicle), "trial", True), "trial")
+    return bool(losses(model, fitted, held, tables, settings["horizons"], settings["material share"], commanded=False))

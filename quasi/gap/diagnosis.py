@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 
 from quasi.errors import DataError
-from quasi.gap.base_model import Worth, worth_of
+from quasi.gap.base_model import Worth, by_role, refit_loses, worth_after
 from quasi.gap.catalogue import in_room
 from quasi.gap.constant_loads import constant_force_ties, in_ties
 from quasi.gap.effect import Effect, as_flown, room_of, vehicle_of
@@ -31,7 +31,6 @@ from quasi.gap.levels import rotor_order
 from quasi.gap.levels.corrections import corrected_at_import
 from quasi.gap.levels.forces import polynomial_baseline
 from quasi.gap.levels.forces.case import Case
-from quasi.gap.levels.forces.design import with_own_terms_anew
 from quasi.gap.levels.forces.effect_size import acting
 from quasi.gap.levels.forces.error_reduction import Squares, after, removed, wrench_squares
 from quasi.gap.levels.forces.estimated_speeds import add_battery, with_estimated_speeds
@@ -50,7 +49,7 @@ from quasi.gap.levels.trim_evidence import (
     unnamed_change,
     why_rotor_is_enough,
 )
-from quasi.gap.losses import correction_matters, drive_losses, losses
+from quasi.gap.losses import correction_matters, drive_losses
 from quasi.gap.materiality import Cause
 from quasi.gap.probability import add_probabilities
 from quasi.gap.report.wording import summary
@@ -99,15 +98,15 @@ def diagnose(
     """
     room, share = room_of(settings["room"]), settings["material share"]
     vehicle, effects = vehicle_of(model, room=room), in_room(effects, room)
-    corrected = any(c["since"] == "always" for c in calibration.get("causes", ()))
-    corrected = corrected and made_of(model, [e for k, e in evidence.items() if roles[k] != "held out"])
-    healthy = [e for k, e in evidence.items() if roles[k] == "reference"]
-    # the model's terms hold what the sensors faked: as they are they explain little of corrected flights
-    base = worth_of(model, with_own_terms_anew(healthy) if corrected else healthy)
-    positions = tuple(AXES.index(a) for a in base.excluded)
     sessions = settings.get("sessions") or {}
-    evidence = {k: replace(e, excluded=positions, session=sessions.get(k, "")) for k, e in evidence.items()}
-    groups = {r: [e for k, e in evidence.items() if roles[k] == r] for r in ("reference", "compared", "held out")}
+    evidence = {k: replace(e, session=sessions.get(k, "")) for k, e in evidence.items()}
+    faked = any(c["since"] == "always" for c in calibration.get("causes", ()))
+    faked = faked and made_of(model, [e for k, e in evidence.items() if roles[k] != "held out"])
+    corrected = faked and not refit_loses(model, by_role(evidence, roles), flights, vehicle, settings)
+    base = worth_after(model, by_role(evidence, roles)["reference"], corrected)
+    positions = tuple(AXES.index(a) for a in base.excluded)
+    evidence = {k: replace(e, excluded=positions) for k, e in evidence.items()}
+    groups = by_role(evidence, roles)
     learning, held = [*groups["reference"], *groups["compared"]], groups["held out"]
     compared = [False] * len(groups["reference"]) + [True] * len(groups["compared"])
     levels, order = calibration["levels"], calibration.get("rotor order")
@@ -124,6 +123,11 @@ def diagnose(
     }
     lists["notes"] += [s for s in [session_sentence(sessions, roles)] if s]
     lists["notes"] += _weighed(model, [*groups["compared"], *held])
+    if faked and not corrected:
+        lists["notes"].append(
+            "fitting the model's own terms anew to the corrected flights would make held-out flights worse; the "
+            "model keeps its terms"
+        )
     # what import corrects is no part of the model: it would be taken off a second time
     driving = [e for e in levels["drive"]["effects"] if not corrected_at_import(e["id"], "drive")]
     drive = [(effects[e["id"]], deviations(effects[e["id"]], e["parameters"]))
@@ -150,12 +154,6 @@ def diagnose(
             learning, compared, held, model, asked_of, vehicle, rate, share, settings["extended model ID"],
             f"gap {name}", unheard, partial(contradicted_by_trim, trim, mass=vehicle.mass),
         )  # fmt: skip
-        if case.corrected and _refit_loses(case, found):
-            case = case._replace(corrected=False)
-            lists["notes"].append(
-                "fitting the model's own terms anew to the corrected flights would make held-out flights worse; the "
-                "model keeps its terms"
-            )
         settled, remains = judge_causes(case, found)
         kept = settled.causes
         lists["notes"] += settled.notes
@@ -387,13 +385,6 @@ def _constants(unexplained: Sequence[Mapping[str, Any]]) -> list[str]:
 def _suspected(entries: Sequence[Mapping[str, Any]]) -> set[str]:
     """Causes of a change that are nearly significant."""
     return {c["id"] for c in entries if c["since"] == "changed" and c["p"] is not None and c["p"] < SUSPECT}
-
-
-def _refit_loses(case: Case, found: Found) -> bool:
-    """Whether the model's own terms, fitted anew to corrected flights without any cause, do worse on held-out ones."""
-    refit_with = Model(case.extended([], found.study, "trial", True), "trial")
-    horizons, share = case.settings["horizons"], case.settings["material share"]
-    return bool(losses(case.model, refit_with, case.held, case.tables, horizons, share, commanded=False))
 
 
 def _correction_matters(

@@ -77,8 +77,8 @@ FLOORS = [
     {"levels.rollouts"},
     {"entries", "probability", "scores"},
     {"report"},
-    {"base_model", "constant_loads"},
-    {"losses", "verdict", "diagnosis"},
+    {"constant_loads"},
+    {"losses", "base_model", "verdict", "diagnosis"},
     {"planning"},
     {"comparing"},
 ]
