@@ -13,6 +13,7 @@ from quasi.gap.levels.rollouts.error_reduction import Yardsticks
 from quasi.gap.levels.rollouts.open_loop import WITH_COMMANDS
 from quasi.gap.levels.sensors_and_drive import judged
 from quasi.gap.materiality import Cause
+from quasi.model.extensions import drive_of
 from quasi.model.model import AXES, Model
 
 
@@ -49,7 +50,9 @@ def scored(
                     scores["best wrong cause removed"] = removed(old, other, *best[1:], new)
     first, last = lower
     if first:
-        for word, table in (("before", judged(first, model.document)), ("after", judged(last, document))):
+        start = judged(first, model.document)
+        stays = _stay(first, last) and drive_of(document) == drive_of(model.document)
+        for word, table in (("before", start), ("after", start if stays else judged(last, document))):
             for level, channels in table.items():
                 mean = {c: float(np.sqrt(np.mean(t["before"] ** 2))) for c, t in channels.groupby("channel")}
                 gap[word][level] = {c: {"0": v} for c, v in mean.items()}
@@ -59,6 +62,12 @@ def scored(
     if WITH_COMMANDS in rolled["wrong"]:
         scores["best wrong cause with commands"] = rolled["wrong"][WITH_COMMANDS]
     return gap, scores, best
+
+
+def _stay(first: Sequence[Flown], last: Sequence[Flown]) -> bool:
+    """Whether calibration left all flights as they were."""
+    pairs = zip(first, last, strict=True)
+    return all(a.imported.equals(b.imported) and a.filtered.equals(b.filtered) for a, b in pairs)
 
 
 def _axes(values: np.ndarray) -> dict[str, dict[str, float]]:
