@@ -138,6 +138,7 @@ rule gap_figures:
         directory("results/parts/gap/{gap}/figures"),
     log:
         "logs/gap/{gap}/figures.log",
+    threads: 2
     params:
         code=code("gap_figures.py"),
     script:

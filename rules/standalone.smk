@@ -57,6 +57,7 @@ rule standalone_figures:
         "logs/standalone/{model}/figures.log",
     benchmark:
         "results/benchmarks/standalone/{model}/figures.tsv"
+    threads: 2
     params:
         flights=lambda wildcards: ask(FOLDER.model_jobs.roles, wildcards.model),
         options=lambda wildcards: ask(FOLDER.model_jobs.partitioning, wildcards.model),

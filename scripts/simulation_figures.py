@@ -1,13 +1,10 @@
 """Draw the figures of a simulation from its table."""
 
-from pathlib import Path
-
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-
 from quasi.model.model import read_model
-from quasi.running.job_log import job, show_progress
+from quasi.pages.figure_files import write_figures
+from quasi.running.job_log import job
 from quasi.simulation.tools.figures import draw_simulation
-from quasi.tables import read_json, read_table, replace_file
+from quasi.tables import read_json, read_table
 
 
 def main(table: str, summary: str, model: str, folder: str) -> None:
@@ -20,11 +17,7 @@ def main(table: str, summary: str, model: str, folder: str) -> None:
         "ended": about["ended"],
     }
     figures = draw_simulation(read_table(table), read_model(model).airframe, about)
-    target = Path(folder)
-    target.mkdir(parents=True, exist_ok=True)
-    for name, figure in show_progress(list(figures.items()), "drawing"):
-        with replace_file(target / f"{name}.png") as part:
-            FigureCanvasAgg(figure).print_png(part)
+    write_figures(figures, folder)
 
 
 if __name__ == "__main__":

@@ -1,13 +1,13 @@
 """Draw a model with the measurements: comparison, quartiles, coverage, isolation."""
 
+from functools import partial
 from pathlib import Path
-
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 
 from quasi.filtering.rotor_speeds import read_flight
 from quasi.identification.partition import ROLES, TRAINING, isolated, judged_rows
 from quasi.model.commands import map_of
 from quasi.model.model import read_model
+from quasi.pages.figure_files import write_figures
 from quasi.running.job_log import job, show_progress
 from quasi.scoring.figures import (
     draw_actuators,
@@ -18,10 +18,12 @@ from quasi.scoring.figures import (
     draw_quartiles,
 )
 from quasi.scoring.review import review_model
-from quasi.tables import list_masses, read_made, read_table, replace_file
+from quasi.tables import list_masses, read_made, read_table
 
 
-def main(model: str, partition: str, flights: list[str], roles: dict, options: dict, folder: str) -> None:
+def main(
+    model: str, partition: str, flights: list[str], roles: dict, options: dict, folder: str, processes: int = 1
+) -> None:
     """Read the model and all of its flights; write one PNG per figure."""
     portable = read_model(model)
     drive = map_of(portable.document)
@@ -48,12 +50,7 @@ def main(model: str, partition: str, flights: list[str], roles: dict, options: d
         if axis in portable.axes:
             inside = {key: regions[key][codes[key] > 0] for key in training}
             drawings[f"isolation_{axis}"] = (draw_isolation, training, inside, axis, units[axis])
-    Path(folder).mkdir(parents=True, exist_ok=True)
-    for name, (draw, *arguments) in show_progress(list(drawings.items()), "drawing"):
-        figure = draw(*arguments)
-        if figure is not None:
-            with replace_file(Path(folder) / f"{name}.png") as part:
-                FigureCanvasAgg(figure).print_png(part)
+    write_figures({name: partial(*drawing) for name, drawing in drawings.items()}, folder, processes)
 
 
 if __name__ == "__main__":
@@ -65,4 +62,5 @@ if __name__ == "__main__":
             snakemake.params.flights,
             snakemake.params.options,
             snakemake.output[0],
+            snakemake.threads,
         )

@@ -271,7 +271,7 @@ def use_server(scripts: type, server: JobServer) -> None:
     original = scripts.execute_script  # type: ignore[attr-defined]
 
     def execute_script(self: Any, fname: str, edit: bool = False) -> None:
-        special = edit or self.threads != 1 or self.conda_env or self.container_img or self.env_modules
+        special = edit or self.conda_env or self.container_img or self.env_modules
         environment = os.environ | dict.fromkeys(THREAD_VARIABLES, "1")
         if folder := self.resources.get("tmpdir"):
             environment |= dict.fromkeys(("TMPDIR", "TMP", "TEMPDIR", "TEMP"), str(folder))

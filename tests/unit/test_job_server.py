@@ -100,7 +100,7 @@ def test_scripts_of_snakemake_run_in_the_server_unless_they_ask_for_more(server,
     use_server(PythonScript, server)
     (tmp_path / "script.py").write_text("import os, sys; sys.exit(int(os.environ['OMP_NUM_THREADS']) + 40)")
     job = SimpleNamespace(
-        threads=1, conda_env=None, container_img=None, env_modules=None, resources={}, bench_record=None
+        threads=2, conda_env=None, container_img=None, env_modules=None, resources={}, bench_record=None
     )
     with pytest.raises(subprocess.CalledProcessError) as raised:
         PythonScript.execute_script(job, "script.py")
@@ -115,7 +115,7 @@ def test_scripts_of_snakemake_run_in_the_server_unless_they_ask_for_more(server,
     assert 0.4 <= float(used["cpu_time"]) <= float(used["s"]) + 0.1
     assert 300.0 < float(used["max_rss"]) < 1000.0
     assert float(used["mean_load"]) == pytest.approx(100.0 * float(used["cpu_time"]) / float(used["s"]), rel=0.05)
-    job.threads = 2
+    job.conda_env = "own.yaml"
     PythonScript.execute_script(job, "own.py")
     assert started == ["own.py"]
 
