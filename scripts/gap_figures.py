@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from quasi.gap.report.figures import figures
-from quasi.pages.figure_files import write_figures
+from quasi.running.figure_files import write_figures
 from quasi.running.job_log import job
 from quasi.tables import read_table
 

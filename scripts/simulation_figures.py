@@ -1,7 +1,7 @@
 """Draw the figures of a simulation from its table."""
 
 from quasi.model.model import read_model
-from quasi.pages.figure_files import write_figures
+from quasi.running.figure_files import write_figures
 from quasi.running.job_log import job
 from quasi.simulation.tools.figures import draw_simulation
 from quasi.tables import read_json, read_table

@@ -7,7 +7,7 @@ from quasi.filtering.rotor_speeds import read_flight
 from quasi.identification.partition import ROLES, TRAINING, isolated, judged_rows
 from quasi.model.commands import map_of
 from quasi.model.model import read_model
-from quasi.pages.figure_files import write_figures
+from quasi.running.figure_files import write_figures
 from quasi.running.job_log import job, show_progress
 from quasi.scoring.figures import (
     draw_actuators,

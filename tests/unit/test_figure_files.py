@@ -3,7 +3,7 @@
 import pytest
 from matplotlib.figure import Figure
 
-from quasi.pages.figure_files import write_figures
+from quasi.running.figure_files import write_figures
 
 
 def drawn(height):
