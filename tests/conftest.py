@@ -5,8 +5,15 @@ from pathlib import Path
 
 # before NumPy is imported: many small matrices, of which more threads would only wait, and use the other core for that
 os.environ.setdefault("OMP_NUM_THREADS", "1")
+# in compiling, Numba raises thousands of errors that nobody reads: colours of their texts take 5 % of the time
+os.environ.setdefault("NUMBA_DISABLE_ERROR_MESSAGE_HIGHLIGHTING", "1")
+
+import gc
 
 import pytest
+
+# compilers keep hundreds of thousands of objects, which a collection after every 700 new ones passes through again
+gc.set_threshold(100_000, 20, 100)
 
 OF_HEALTHY = {"test_hide_and_seek.py", "test_plan_lab.py"}  # share made flights
 SIMULATOR = "test_controlled_flight.py"

@@ -58,11 +58,12 @@ def flown(
         delayed = np.interp(fine - late, fine, asked)
         factor = gains[i] * (np.interp(fine, t, volts) / VOLTS) ** exponent
         wanted = factor * (MAP[0] + MAP[1] * delayed + MAP[2] * delayed**2)
-        speed = np.empty(len(fine))
-        now = wanted[0]
-        for k, target in enumerate(wanted):
-            speed[k] = now
-            now += (target - now) / (spread * slower[i] * (up if target > now else down)) / (FINER * RATE)
+        # plain floats, faster than those of NumPy
+        speed, now = [], float(wanted[0])
+        lag_up, lag_down = float(spread * slower[i] * up), float(spread * slower[i] * down)
+        for target in wanted.tolist():
+            speed.append(now)
+            now += (target - now) / (lag_up if target > now else lag_down) / (FINER * RATE)
         logged = np.interp(t - age, fine, speed) + noise * rng.standard_normal(len(t))
         columns[f"w{i + 1}"] = np.interp(t + age, t, logged) if told else logged
         columns[f"command{i + 1}"] = np.interp(t, fine, asked)

@@ -37,7 +37,7 @@ def flown(seed, compared=True, lag=LAG, late=0.0, age=AGE, disturbed=15.0, size=
     columns = {"t": t}
     for i in range(1, 5):
         f, a, phase = rng.uniform(0.2, 6.0, 8), size * rng.uniform(0.004, 0.012, 8), rng.uniform(0.0, 6.28, 8)
-        asked = HOVER + np.sin(6.2832 * np.outer(t, f) + phase) @ a
+        asked = (HOVER + np.sin(6.2832 * np.outer(t, f) + phase) @ a).tolist()
         steps = (disturbed / np.sqrt(FINER) * rng.standard_normal(n * FINER)).tolist()
         line = [HOVER] * (round(late / dt) + 1)
         speed, rate, speeds, commands = GAIN * HOVER, 0.0, [], []

@@ -20,6 +20,7 @@ al., Measurement Error in Nonlinear Models, 2nd ed., 2006, chapter 3 (a noisy re
 from typing import NamedTuple
 
 import numpy as np
+from scipy.fft import irfft, next_fast_len, rfft
 from scipy.optimize import minimize_scalar
 from scipy.signal import lfilter
 
@@ -104,7 +105,7 @@ class Prediction:
         # a rotor's own share is one of the speed by a map that stays: map and shares then add, and do not multiply, so
         # that the fit does not creep along what they have in common
         self.first = [_mapped(start, c) for c in self.commands]
-        self._buffer = np.empty(len(self.t))
+        self._buffer, self._exponent, self._factor = np.empty(len(self.t)), np.nan, np.empty(0)
 
     def kept(self) -> np.ndarray:
         """Places (m,) of the rows whose errors before are known."""
@@ -117,7 +118,7 @@ class Prediction:
         where they are asked
         """
         c, moves = self.commands[i], NO_SLOPES
-        volt = np.ones(len(c)) if self.ratio is None else np.exp(x[EXPONENT] * self.ratio)
+        volt = self._voltage_factor(x[EXPONENT])
         wanted = volt * (_mapped(x, c) + x[SPEED_SHARE + i] * self.first[i])
         if len(slopes):
             sagging = np.zeros(len(c)) if self.ratio is None else wanted * self.ratio
@@ -125,6 +126,13 @@ class Prediction:
         late, (up, down) = x[DELAY] / self.dt, own_lag(x, i)
         follow(wanted, self.speeds[i], self.begins, late, self.dt, up, down, self._buffer, moves, slopes)
         return self._buffer
+
+    def _voltage_factor(self, exponent: float) -> np.ndarray:
+        """Factor (n,) of the voltage on the speed, kept for the four rotors."""
+        if exponent != self._exponent:
+            self._exponent = exponent
+            self._factor = np.ones(len(self.t)) if self.ratio is None else np.exp(exponent * self.ratio)
+        return self._factor
 
     def errors(self, x: np.ndarray) -> np.ndarray:
         """What of the errors (m, 4), rad/s, the errors before do not predict."""
@@ -140,20 +148,22 @@ class Prediction:
         slopes = self._slopes(x)
         return np.stack([self._unforeseen(slopes[:, i], plain) for i, plain in enumerate(self._plain(x).T)], axis=1)
 
-    def _slopes(self, x: np.ndarray, every: int = 1) -> np.ndarray:
-        """Derivatives (m, 4, 15) of the predicted speeds at each `every`-th row; the memory stays."""
-        own, rows = np.empty((len(self.t), 8)), len(self.kept()[::every])
-        new = np.zeros((rows, 4, len(x)))
+    def _slopes(self, x: np.ndarray, every: int = 1, free: np.ndarray | slice = slice(None)) -> np.ndarray:
+        """Derivatives (m, 4, F) of the predicted speeds at each `every`-th row by the free constants; the memory stays.
+
+        free (15,)  bool, or all
+        """
+        own, combined = np.empty((len(self.t), 8)), []
         for i in range(4):
             self.of_commands(i, x, own)
             white = self._new(own[self.rows, None], self.memory)[::every, 0]
-            up, down = own_lag(x, i)
-            new[:, i, :7], new[:, i, SPEED_SHARE + i] = white[:, :7], white[:, 7]
-            new[:, i, 0] *= up / x[0]
-            new[:, i, 1] *= down / x[1]
+            (up, down), weights = own_lag(x, i), np.zeros((8, len(x)))
+            weights[:7, :7], weights[7, SPEED_SHARE + i] = np.eye(7), 1.0
+            weights[0, 0], weights[1, 1] = up / x[0], down / x[1]
             # a logarithm counts from the mean of the four, which is what the common time constants are
-            new[:, i, LAG:] = (white[:, :1] * up + white[:, 1:2] * down) * (np.eye(4)[i] - 0.25)
-        return new
+            weights[:2, LAG:] = np.outer((up, down), np.eye(4)[i] - 0.25)
+            combined.append(white @ weights[:, free])
+        return np.stack(combined, axis=1)
 
     def fit(
         self, start: np.ndarray, loose: np.ndarray, noise: float, size: np.ndarray, free: np.ndarray
@@ -178,8 +188,10 @@ class Prediction:
                 return there
 
             def slopes(values: np.ndarray) -> np.ndarray:
-                seen = self._slopes(at(values), every).reshape(-1, len(x))
-                return np.concatenate([seen[:, free], np.diag(noise / loose)[:, free]]) / noise
+                seen = self._slopes(at(values), every, free)
+                both = np.concatenate([seen.reshape(-1, seen.shape[2]), np.diag(noise / loose)[:, free]])
+                both /= noise
+                return both
 
             nothing = np.zeros(len(weighed(x, every)))
             values, along, _ = fit_damped(
@@ -244,17 +256,16 @@ class Prediction:
         known[kept], wanted[:, kept] = 1.0, self._new(self.target, self.memory).T
         best, least = x, float(np.sum(self.errors(x) ** 2) - np.sum(wanted**2))
         late = np.arange(round(EARLIEST / self.dt), round(LATEST / self.dt) + 1)
+        length = next_fast_len(len(self.t) + int(np.abs(late).max()), real=True)  # no shift wraps round
+        of_known, of_wanted = np.conj(rfft(known, length)), np.conj(rfft(wanted, length))
         for lag in TRIED_LAGS:
-            tried, left = np.concatenate([[lag, lag, 0.0], x[3:]]), np.zeros(len(late))
+            tried, spectrum = np.concatenate([[lag, lag, 0.0], x[3:]]), np.zeros(length // 2 + 1, complex)
             for i in range(4):
                 weights = np.zeros(self.every * (len(self.memory) - 1) + 1)
                 weights[:: self.every] = self.memory
                 made = lfilter(weights, [1.0], self.of_commands(i, tried))
-                square = made**2
-                for k, shift in enumerate(late):
-                    now = slice(max(shift, 0), len(made) + min(shift, 0))
-                    then = slice(max(-shift, 0), len(made) - max(shift, 0))
-                    left[k] += known[now] @ square[then] - 2.0 * wanted[i, now] @ made[then]
+                spectrum += of_known * rfft(made**2, length) - 2.0 * of_wanted[i] * rfft(made, length)
+            left = irfft(spectrum, length)[-late]  # correlation at every shift; negative places count from the end
             if left.min() < least:
                 best, least = np.concatenate([[lag, lag, late[np.argmin(left)] * self.dt], x[3:]]), left.min()
         return best
