@@ -7,6 +7,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from clarity import clear, drive_size
+from drive_fits import fitted_once
 
 from quasi.airframe import Airframe
 from quasi.gap.catalogue import catalogue
@@ -33,6 +34,12 @@ MODEL = {
         },
     },
 }  # fmt: skip
+
+
+@pytest.fixture(scope="module", autouse=True)
+def kept_fits():
+    with fitted_once():
+        yield
 
 
 @functools.cache

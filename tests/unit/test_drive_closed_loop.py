@@ -6,6 +6,7 @@ import functools
 import numpy as np
 import pandas as pd
 import pytest
+from drive_fits import fitted_once
 
 from quasi.airframe import Airframe
 from quasi.filtering.forces import low_pass
@@ -23,6 +24,12 @@ FRAME = Airframe("Made", 0.43, np.eye(3) * 1e-3, 0.04, 0.08, np.zeros((4, 3)), n
 START = Belief(np.array([LAG, LAG, 0.0, 0.0, GAIN, *[0.0] * 10]), None)
 # a command holds from its sample on: the straight line from the sample before is half an interval earlier
 TRUE_DELAY = AGE + 0.5 / RATE
+
+
+@pytest.fixture(scope="module", autouse=True)
+def kept_fits():
+    with fitted_once():
+        yield
 
 
 @functools.cache

@@ -6,7 +6,8 @@ One file is written in one manner: what separates cells and what marks decimals 
 import io
 import re
 import warnings
-from collections.abc import Collection
+from collections import Counter
+from collections.abc import Collection, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -22,6 +23,15 @@ COARSE = 0.1  # of the usual step of a clock: coarser stamps are refused, their 
 REPEATED = 0.2  # share of rows that repeat a stamp, beyond which its digits may have been cut
 _ENTRY = re.compile(r"(.+)\[([0-9]+)\]")
 _NUMBER = re.compile(r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?")
+# cells that are numbers: the mark separates decimals, may separate thousands, or does separate them
+_CELL = re.compile(
+    r"[+-]?(?:"
+    r"(?P<either_point>[1-9][0-9]{0,2}[.][0-9]{3})|(?P<either_comma>[1-9][0-9]{0,2},[0-9]{3})"
+    r"|(?P<decimal_point>[0-9]*[.][0-9]*(?:[eE][+-]?[0-9]+)?)|(?P<decimal_comma>[0-9]*,[0-9]*(?:[eE][+-]?[0-9]+)?)"
+    r"|(?P<whole>[0-9]+(?:[eE][+-]?[0-9]+)?)"
+    r"|(?P<grouped>[1-9][0-9]{0,2}"
+    r"(?:(?:,[0-9]{3}){2,}|(?:[.][0-9]{3}){2,}|(?:[.][0-9]{3})+,[0-9]*|(?:,[0-9]{3})+[.][0-9]*)))"
+)
 _EMPTY = re.compile(r'[\s;,"]*')
 _HINT = re.compile(r'"?sep=(.)"?[;,\t]*', re.IGNORECASE)
 _NUMBER_FIRST = re.compile(r'[\s"]*[+-]?[0-9]*[.,]?[0-9]+(?:[eE][+-]?[0-9]+)?[\s"]*(?:[,;\t]|$)')
@@ -158,6 +168,13 @@ def numbers_of(cell: object) -> np.ndarray:
         return np.zeros(0)
 
 
+def _classify_cells(cells: Sequence[str]) -> tuple[Counter[str], dict[str, str]]:
+    """How many cells are of each group of _CELL, "" for no numbers, and the first cell of each."""
+    kinds = [match.lastgroup or "" if match else "" for match in map(_CELL.fullmatch, cells)]
+    counts = Counter(kinds)
+    return counts, {kind: cells[kinds.index(kind)] for kind in counts}
+
+
 def decimal_points(
     table: pd.DataFrame, path: Path | str, use: Collection[str] | None = None
 ) -> tuple[list[str], set[str]]:
@@ -174,30 +191,21 @@ def decimal_points(
     for place, name in enumerate(table.columns):
         if use is not None and str(name) not in use:
             continue
-        text = table.iloc[:, place].dropna().astype(str).str.strip()
-        one = text[text.str.contains("[.,]")]
-        if not len(one):
+        cells = table.iloc[:, place].dropna().astype(str).str.strip().tolist()
+        counts, first = _classify_cells(cells)
+        if sum(counts.values()) - counts[""] <= 0.5 * len(cells):
             continue
-        whole = ~text.str.contains("[.,]") & text.str.fullmatch(r"[+-]?[0-9]+(?:[eE][+-]?[0-9]+)?")
-        decimal = {m: one.str.fullmatch(rf"[+-]?[0-9]*[{m}][0-9]*(?:[eE][+-]?[0-9]+)?") for m in MARKS}
-        grouped = {m: one.str.fullmatch(rf"[+-]?[1-9][0-9]{{0,2}}(?:[{m}][0-9]{{3}})+") for m in MARKS}
-        both = one.str.fullmatch(r"[+-]?[1-9][0-9]{0,2}(?:(?:[.][0-9]{3})+,|(?:,[0-9]{3})+[.])[0-9]*")
-        numbers = both.copy()
-        for m in MARKS:
-            numbers |= decimal[m] | grouped[m]
-        if int(numbers.sum()) + int(whole.sum()) <= 0.5 * len(text):
-            continue
-        for cell in one[both | (grouped[","] & ~decimal[","]) | (grouped["."] & ~decimal["."])][:1]:
+        if "grouped" in first:
             raise ReadError(
-                f"{path}: column '{name}' holds {cell}, whose thousands are separated, expected a plain number; "
-                "export it without thousands separators"
+                f"{path}: column '{name}' holds {first['grouped']}, whose thousands are separated, expected a "
+                "plain number; export it without thousands separators"
             )
-        for m in MARKS:
-            for clear, which in ((True, decimal[m] & ~grouped[m]), (False, decimal[m] & grouped[m])):
-                for cell in one[which][:1]:
-                    found.setdefault((m, clear), (str(name), cell))
+        for m, word in MARKS.items():
+            for clear, kind in ((True, f"decimal_{word}"), (False, f"either_{word}")):
+                if kind in first:
+                    found.setdefault((m, clear), (str(name), first[kind]))
                     marked.add(str(name))
-        if decimal[","].any():
+        if counts["decimal_comma"] or counts["either_comma"]:
             commas.append(place)
     clear = [m for m in MARKS if (m, True) in found]
     if len(clear) == 2:

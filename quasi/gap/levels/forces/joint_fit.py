@@ -14,7 +14,6 @@ from quasi.gap.levels.forces import spectral_peaks as rhythm
 from quasi.gap.levels.forces.design import LIGHT, base_columns, refit
 from quasi.gap.levels.forces.smooth_functions import Cause, Grounds, Place, curved, mixed_of
 from quasi.gap.statistics.candidates import Candidate, Test
-from quasi.gap.statistics.mixed import marginal
 from quasi.gap.statistics.whitening import whiten
 from quasi.model.model import AXES
 
@@ -97,7 +96,6 @@ def slope_of(
             own = slice(size + k * width, size + (k + 1) * width)
             gram[own, :size], gram[:size, own] = summed[k, size:, :size], summed[k, :size, size:]
             gram[own, own] = summed[k, size:, size:]
-        gram = marginal(gram, layout.nuisance, layout.spread)
         target, function = np.zeros(end), np.zeros(end)
         target[0] = 1.0
         for effect, offer, _, values in joint.causes:
@@ -110,9 +108,15 @@ def slope_of(
                 function[at] = value
             elif flag or other.since == "always":
                 target[at] -= value
-        turn = np.column_stack([np.eye(end)[:, layout.shared], function])
-        inner += turn.T @ gram @ turn
-        right += turn.T @ gram @ target
+        # of the model's own terms, the function and the target; nuisances integrated out as by `mixed.marginal`
+        pair = np.column_stack([function, target])
+        cross = np.column_stack([gram[:, layout.shared], gram @ pair])
+        among = np.vstack([cross[layout.shared], pair.T @ cross])
+        aside = cross[layout.nuisance]
+        spread = np.diag(1.0 / np.asarray(layout.spread) ** 2)
+        among -= aside.T @ np.linalg.solve(gram[np.ix_(layout.nuisance, layout.nuisance)] + spread, aside)
+        inner += among[:-1, :-1]
+        right += among[:-1, -1]
     scale = np.sqrt(np.maximum(np.diag(inner), 1e-300))
     inverse = np.linalg.inv(inner / np.outer(scale, scale) + LIGHT * np.eye(len(scale)))
     return float(inverse[-1] @ (right / scale) / scale[-1]), float(scale[-1] ** 2 / inverse[-1, -1])
