@@ -134,6 +134,14 @@ def test_a_voltage_that_stays_cannot_show_what_it_does():
         (effect,) = anew["drive"]["effects"]
         assert (max(effect["removed"].values(), default=0.0) > 0.9) == shown
         assert any("is unknown" in n for n in anew["drive"]["notes"]) != shown
+        assert effect.get("judged", True) == shown
+    (asked,) = {levels["drive"]["found on"]["significance"][e["since"]] for e in levels["drive"]["effects"]}
+    for p, named in ((0.2 * asked, True), (0.3 * asked, False)):  # it has to pass what counts without held-out flights
+        anew = json.loads(json.dumps(levels))
+        anew["drive"]["effects"][0]["evidence"]["p"] = p
+        reject_immaterial(anew, [replace(steady, filtered=still, imported=still)], [], SHARE, 0.25)
+        assert [e["id"] for e in anew["drive"]["effects"]] == ["battery_sag"] * named
+        assert named or "battery_sag" in [c["id"] for c in anew["drive"]["candidates"]]
     other = json.loads(json.dumps(levels))
     reject_immaterial(other, [driven(5)], [], SHARE)  # follows the battery as the model says
     assert not other["drive"]["effects"]
