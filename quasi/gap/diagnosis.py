@@ -114,7 +114,8 @@ def diagnose(
     asked_of_forces = {n for n, e in effects.items() if e.level == "forces"}
     if order:
         lower = ([rotor_order.reorder(f, order) for f in lower[0]], lower[1])
-    reject_immaterial(levels, *lower, share)
+    rate, unheard = (rate_of(settings["false alarm rate"], sum(compared), n) for n in (len(held), 0))
+    reject_immaterial(levels, *lower, share, unheard / rate)
     lists: dict[str, Any] = {
         "candidates": [],
         "unexplained": [],
@@ -149,7 +150,6 @@ def diagnose(
         asked = [n for n, e in effects.items() if e.level == "forces"]
         lists["cannot_be_asked"] += [{"id": n, "why": unable} for n in asked]
     else:
-        rate, unheard = (rate_of(settings["false alarm rate"], sum(compared), n) for n in (len(held), 0))
         found = examine(
             learning, compared, held, model, asked_of, vehicle, rate, share, settings["extended model ID"],
             f"gap {name}", unheard, partial(contradicted_by_trim, trim, mass=vehicle.mass),

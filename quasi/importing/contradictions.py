@@ -117,14 +117,18 @@ def _exchanged(one: np.ndarray, other: np.ndarray, least: float, names: tuple[st
     """{column of `one` (n, 3): that of `other` (n, 3) which goes with it}, where it is another one; without means.
 
     least  spread below which columns are not judged; correlations as `exchanged_axes` has them
+    An axis that is at rest goes with another one as soon as it is turned a little towards that. A turn by an angle
+    makes the sine of it, and of an exchange at least that of AXES_ANGLE, next to the scale of both.
     """
-    sizes = np.sqrt(np.outer(np.mean(one**2, axis=0), np.mean(other**2, axis=0)))
+    power, own = np.mean(one**2, axis=0), np.mean(other**2, axis=0)
+    sizes = np.sqrt(np.outer(power, own))
     alike = np.abs(one.T @ other / len(one)) / np.where(sizes > 0, sizes, np.inf)
     best = np.argmax(np.where(sizes >= least**2, alike, 0.0), axis=1)
+    least_power = np.sin(AXES_ANGLE) ** 2 * power.sum() / max(own.sum(), 1e-300) * own  # (3,) of the other's columns
     return {
         names[k]: names[j]
         for k, j in enumerate(best)
-        if j != k and alike[k, j] > LEAST_CORRELATION and alike[k, k] < 0.5 * alike[k, j]
+        if j != k and alike[k, j] > LEAST_CORRELATION and alike[k, k] < 0.5 * alike[k, j] and power[k] > least_power[j]
     }
 
 

@@ -214,7 +214,7 @@ def test_a_gap_without_any_velocity_is_not_judged_and_says_why(flight):
     evidence, lost = gather_all(dict.fromkeys(roles, (flight, DRIFTING, FRAME)), MODEL, 100.0)
     why = "no compared flight has a motion capture of enough flying"
     level = {"effects": [], "ties": [], "findings": [], "candidates": [], "cannot_be_asked": [], "notes": [],
-             "found on": {"channels": list("pqr"), "healthy": {}, "worth": {}}}  # fmt: skip
+             "found on": {"channels": list("pqr"), "healthy": {}, "significance": {}, "worth": {}}}  # fmt: skip
     deaf = {**level, "cannot_be_asked": [{"id": n, "why": why} for n, e in CATALOGUE.items() if e.level == "sensors"]}
     settings = {"room": None, "material share": 0.05, "false alarm rate": 0.01, "horizons": [0.5], "model": MODEL.id,
                 "extended model ID": "x", "effects": "all"}  # fmt: skip
@@ -379,7 +379,7 @@ def test_a_held_out_flight_without_commands_cannot_tell_whether_a_drive_matters(
     level = drive_level.examine([flown(s, up=0.04, down=0.05) for s in (1, 2)], DRIVES, {"effects": ["motor_lag"]})
     levels = {"drive": json.loads(json.dumps({
         "effects": level.effects, "ties": [], "candidates": [], "notes": [],
-        "found on": {"channels": ["w1", "w2", "w3", "w4"], "healthy": level.healthy, "worth": {}},
+        "found on": {"channels": ["w1", "w2", "w3", "w4"], "healthy": level.healthy, "significance": {}, "worth": {}},
     }))}  # fmt: skip
     assert [e["id"] for e in level.effects] == ["motor_lag"]
     bare = flown(3).filtered.drop(columns=[f"command{i}" for i in range(1, 5)])

@@ -1,13 +1,17 @@
 """IMU or markers: either planted in made flights, through raw logs; the weighing against a search over values."""
 
+from dataclasses import replace
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from made_model import simple_model
 from made_recordings import planted
+from test_gap_together import BASE, flight
 
 from quasi.gap.catalogue import catalogue
 from quasi.gap.flights.level import Level
-from quasi.gap.levels import corrections
+from quasi.gap.levels import corrections, imu_or_markers
 from quasi.gap.levels.imu_or_markers import ACROSS, DECIDED, TAKEN_UP, felt, settle, weigh
 from quasi.gap.levels.sensors import identify as sensor_level
 from quasi_synthesis.nuisance import nominal
@@ -96,3 +100,22 @@ def test_forces_that_cannot_tell_leave_a_tie_with_both_ways_to_read_it(monkeypat
     assert tie["separability"] < DECIDED**0.5
     for axis in "xyz":
         assert tie["parameters"]["marker_offset"][axis]["value"] == -arm[axis]["value"]
+
+
+def test_an_arm_of_all_flights_is_no_part_of_the_one_that_changed(monkeypatch):
+    always, changed, compared = np.array([0.02, -0.01, 0.01]), np.array([0.0, 0.0, 0.008]), [False, False, True, True]
+    flights = {}
+    for seed, flag in enumerate(compared):
+        arm = always + changed * flag
+        clean = flight(seed)
+        flights[clean.key] = replace(clean, measured=clean.measured + sum(
+            v * column for v, column in zip(arm, imu_or_markers._columns(clean, None).values())
+        ))  # fmt: skip
+    monkeypatch.setattr(imu_or_markers, "_evidence", lambda flown, model: flights[flown.key])
+    flown = [SimpleNamespace(key=key, compared=flag) for key, flag in zip(flights, compared)]
+    for since, true, others in (
+        ("changed", changed, []), ("changed", changed, ["always"]), ("always", always, ["changed"]),
+    ):  # fmt: skip
+        arm, std = felt(flown, BASE, since, {}, 0.01, others)
+        assert np.all(np.abs(arm - true) < 4.0 * std), (since, others, arm, std)
+        assert np.all(std < 4e-3)

@@ -65,6 +65,8 @@ def test_the_word_follows_from_the_probability_alone(chance, word):
 def test_a_tie_states_its_probability_where_it_has_one():
     assert "0.91" in separability_of({**TIE, "probability": 0.912})
     assert "probability" not in separability_of(TIE)
+    # what noise would decide is a tie for another reason, which a sentence that it is none must not hide
+    assert ["form" in separability_of({**TIE, "separability": size}) for size in (1.3, 11.7)] == [False, True]
 
 
 def test_a_tie_of_forces_holds_what_its_probability_is_made_of():

@@ -96,6 +96,16 @@ def test_the_mean_of_a_scale_counts_where_its_slope_within_a_flight_errs():
     assert np.nanmax(healthy.removed) < SHARE
 
 
+@pytest.mark.parametrize(("cause", "fault"), [("imu_misalignment", "imu"), ("mocap_misalignment", "markers")])
+def test_the_seating_of_the_markers_does_not_take_off_a_turned_imu_nor_the_reverse(cause, fault):
+    turn = np.array([0.0, 0.05, 0.0])
+    named = {"id": cause, "since": "changed",
+             "parameters": {n: {"value": v, "std": 0.005} for n, v in zip(("roll", "pitch", "yaw"), turn)}}  # fmt: skip
+    for flight, there in ((moved(3, **{fault: turn}), True), (moved(3), False)):
+        removed = held_out.gains([named], [flight], corrected=False)[cause].removed
+        assert (np.nanmax(removed) > 0.5) == there and (np.nanmax(removed) < SHARE) != there, removed
+
+
 def test_a_leaning_attitude_is_judged_as_it_flew_for_nothing_corrects_it():
     flights = [moved(s, onboard_gain=0.5) for s in (1, 2)]
     level = sensor_level.examine(flights, {})
@@ -134,6 +144,14 @@ def test_a_voltage_that_stays_cannot_show_what_it_does():
         (effect,) = anew["drive"]["effects"]
         assert (max(effect["removed"].values(), default=0.0) > 0.9) == shown
         assert any("is unknown" in n for n in anew["drive"]["notes"]) != shown
+        assert effect.get("judged", True) == shown
+    (asked,) = {levels["drive"]["found on"]["significance"][e["since"]] for e in levels["drive"]["effects"]}
+    for p, named in ((0.2 * asked, True), (0.3 * asked, False)):  # it has to pass what counts without held-out flights
+        anew = json.loads(json.dumps(levels))
+        anew["drive"]["effects"][0]["evidence"]["p"] = p
+        reject_immaterial(anew, [replace(steady, filtered=still, imported=still)], [], SHARE, 0.25)
+        assert [e["id"] for e in anew["drive"]["effects"]] == ["battery_sag"] * named
+        assert named or "battery_sag" in [c["id"] for c in anew["drive"]["candidates"]]
     other = json.loads(json.dumps(levels))
     reject_immaterial(other, [driven(5)], [], SHARE)  # follows the battery as the model says
     assert not other["drive"]["effects"]

@@ -16,6 +16,7 @@ from quasi.attitude import from_euler, multiply, rotate, rotate_inverse
 from quasi.errors import DataError, ReadError
 from quasi.filtering.flight import filter_flight
 from quasi.identification.shared import left_out_notes, unusable_flights
+from quasi.importing import contradictions
 from quasi.importing import flight as importing
 from quasi.importing.series import Series
 from quasi.tables import read_json
@@ -252,6 +253,16 @@ def test_noisy_sources_of_real_flights_do_not_contradict_each_other(tmp_path, na
     frame, about = importing.import_flight(asked, {"table columns": {"time": "t", "sources": sources}}, {})
     assert about["contradictions"] == []
     assert about["verdict because"].startswith("unusable for identification: no rotor speeds")
+
+
+@pytest.mark.parametrize(("angle", "gain"), [(5.0, 1.0), (-5.0, 2.0), (90.0, 1.0), (-85.0, 0.5)])
+def test_an_axis_at_rest_that_is_turned_a_little_is_not_exchanged_with_a_lively_one(angle, gain):
+    rng, c, s = np.random.default_rng(1), *(f(np.radians(angle)) for f in (np.cos, np.sin))
+    needed = rng.standard_normal((4000, 3)) * [0.03, 0.3, 2.0]
+    turned = gain * needed @ np.array([[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]])
+    measured = turned + 0.02 * rng.standard_normal(turned.shape)
+    found = contradictions._exchanged(measured, needed, contradictions.LEAST_MOTION, ("ax", "ay", "az"))
+    assert found == ({"ax": "az"} if abs(angle) > 45.0 else {})
 
 
 def test_each_limit_names_its_two_sources():

@@ -10,6 +10,7 @@ from test_gap_halves import flown as fly
 
 from quasi import attitude
 from quasi.gap.flights.level import Flown, Level
+from quasi.gap.levels.corrections import document
 from quasi.gap.levels.tie_breaking import compare, judged, settle
 from quasi.importing.calibration import check
 from quasi.model.columns import ROTORS
@@ -145,6 +146,16 @@ def test_neither_one_flight_nor_a_contradicted_mean_settles(lead, settled, fligh
     assert settle([level], flights, model, ALARM, process) == ([PAIR[0]] if settled else [])
     winner, each, odds = judged(left[:, ::-1])
     assert winner == 1 and odds <= each.mean()
+
+
+@pytest.mark.parametrize("likelier", [0, 1])
+def test_of_a_tie_that_stays_the_flights_are_corrected_for_the_likelier(likelier, flights, model, monkeypatch):
+    left = np.stack([np.full(3, 1000.0), np.full(3, 1005.0)], axis=1)[:, [likelier, 1 - likelier]]
+    monkeypatch.setattr("quasi.gap.levels.tie_breaking.compare", lambda *_: left)
+    level = Level("sensors", ties=[tie()])
+    assert settle([level], flights, model, ALARM, process) == []
+    assert level.ties[0]["ids"] == [PAIR[likelier], PAIR[1 - likelier]]
+    assert [c["id"] for c in document([level])["causes"]] == [PAIR[likelier]]
 
 
 def test_flights_that_are_valid_at_other_times_leave_the_tie_with_the_reason(flights, model):

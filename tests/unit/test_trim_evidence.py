@@ -364,6 +364,13 @@ def test_equal_flights_name_nothing():
     assert "names no cause" in found.document["text"]
 
 
+def test_a_trim_of_all_rotors_alike_states_both_causes_that_make_it():
+    found = evidence((0.85,) * 4)
+    assert found.document["names"] == ["mass"]
+    assert {"mass", "thrust_factor"} == set(found.document["causes"])
+    assert "mass" in found.document["text"] and "another thrust" in found.document["text"]
+
+
 @pytest.mark.parametrize(("roles", "says"), [({}, "reference"), (dict.fromkeys(SESSIONS, "reference"), "compared")])
 def test_without_flights_of_both_groups_it_says_so(roles, says):
     tables = {k: table(np.full(4, 2000.0), 0) for k in SESSIONS}

@@ -47,6 +47,7 @@ class Level:
     tests             what causes were tested on, None where nothing could be asked
     found_on          what held-out flights are compared with, see `sensors_and_drive.found_on`
     healthy           of the drive: constants ("values") and voltage that flights were compared with
+    significance      {since: p-value below which a cause was accepted}
     """
 
     level: str
@@ -61,6 +62,7 @@ class Level:
     tests: "SensorMixedModel | None" = None
     found_on: dict[str, Any] = field(default_factory=dict)
     healthy: dict[str, Any] = field(default_factory=dict)
+    significance: dict[str, float] = field(default_factory=dict)
 
 
 def causes_of(entries: Sequence[Mapping[str, Any]]) -> set[str]:

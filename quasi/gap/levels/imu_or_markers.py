@@ -17,6 +17,7 @@ import numpy as np
 from quasi import attitude
 from quasi.attitude import GRAVITY
 from quasi.errors import DataError
+from quasi.gap.causes import imu_lever_arm
 from quasi.gap.effect import Effect, Limits, vehicle_of
 from quasi.gap.flights.evidence import RATE, Evidence
 from quasi.gap.flights.gathering import gather
@@ -92,8 +93,10 @@ def settle(level: Level, flights: Sequence[Flown], model: Model, effects: Mappin
         # where the one could not be asked, neither could the other
         level.cannot_be_asked += [{**entry, "id": OFFSET} for entry in level.cannot_be_asked if entry["id"] == IMU]
         return
+    sinces = [arm["since"] for arm in arms]
     for arm in arms:
-        _settle_arm(level, arm, flights, model, effects, rate)
+        others = [since for since in sinces if since != arm["since"]]
+        _settle_arm(level, arm, flights, model, effects, rate, others)
 
 
 def _settle_arm(
@@ -103,10 +106,11 @@ def _settle_arm(
     model: Model,
     effects: Mapping[str, Effect],
     rate: float,
+    others: Sequence[str],
 ) -> None:
-    """`settle` for one arm: that of all flights, or that of the compared ones beyond it."""
+    """`settle` for one arm: that of all flights, or that of the compared ones beyond it. others  see `felt`"""
     try:
-        forces, std = felt(flights, model, arm["since"], effects, rate)
+        forces, std = felt(flights, model, arm["since"], effects, rate, others)
     except DataError as error:
         level.notes.append(f"whether the IMU or the markers sit elsewhere was not asked of the forces: {error}")
         forces, std = np.zeros(3), np.full(3, np.inf)
@@ -159,18 +163,20 @@ def _columns(evidence: Evidence, _: Any) -> dict[str, np.ndarray]:
 FELT = Effect(
     id=IMU, level="forces", sentence="the inertial sensors sit away from the centre of gravity",
     equation="see the module",
-    source="rigid-body kinematics", channels=("Fx", "Fy", "Fz"), columns=_columns, parts="all",
+    source="rigid-body kinematics", parameters=imu_lever_arm.EFFECT.parameters, channels=("Fx", "Fy", "Fz"),
+    columns=_columns, parts="all",
 )  # fmt: skip
 
 
 def felt(
-    flights: Sequence[Flown], model: Model, since: str, effects: Mapping[str, Effect], rate: float
-) -> tuple[np.ndarray, np.ndarray]:
+    flights: Sequence[Flown], model: Model, since: str, effects: Mapping[str, Effect], rate: float,
+    others: Sequence[str] = (),
+) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
     """IMU minus cg (3,) m by the forces, with standard errors (3,); the model's own terms are fitted anew with it.
 
     since  "always": one arm in all flights; "changed": of the compared ones, beyond what all have
     effects  causes by id; causes of forces other than the arm are taken out, since a tether, say, would bias the arm;
-    rate  their false alarm rate
+    rate  their false alarm rate; others  since when there are arms that are estimated with this one
     Raises DataError where no flight can be compared with the model.
     """
     seen = []
@@ -184,25 +190,25 @@ def felt(
     evidence, vehicle = [e for _, e in seen], vehicle_of(model)
     compared = np.array([flown.compared for flown, _ in seen])
     asked = {n: e for n, e in effects.items() if e.level == "forces" and not e.finding}
-    arm = Candidate(IMU, since, (0, 1, 2))
+    arm, *rest = (Candidate(IMU, when, (0, 1, 2)) for when in (since, *others))
     study = started(gather_design(evidence, asked | {IMU: FELT}, vehicle), asked | {IMU: FELT}, vehicle, compared)
-    given = _other_causes(study, asked, {n: e.limits(vehicle) for n, e in asked.items()}, compared, rate, arm)
+    given = _other_causes(study, asked, {n: e.limits(vehicle) for n, e in asked.items()}, compared, rate, [arm, *rest])
     mixed = study.mixed(range(len(seen)), compared)
-    test = mixed.test(arm, given, [IMU] if since == "changed" else [])
+    test = mixed.test(arm, [*given, *rest], [IMU] if since == "changed" else [])
     return np.asarray(test.value), np.asarray(test.std)
 
 
 def _other_causes(
     study: Design, asked: Mapping[str, Effect], within: Mapping[str, Limits],
-    compared: np.ndarray, rate: float, arm: Candidate,
+    compared: np.ndarray, rate: float, arms: list[Candidate],
 ) -> list[Candidate]:  # fmt: skip
-    """Causes of forces other than the arm.
+    """Causes of forces other than the arms.
 
     A moved centre of gravity is none: what the accelerometer feels is its place from where that is.
     """
     mixed = study.witnessed(range(len(compared)), compared)
     profiles = {n: Profile.of(e, within.get(n)) for n, e in (asked | {IMU: FELT}).items()}
-    return select_causes(mixed, profiles, rate, excluded=(*study.lacking, IMU, CG), known=[arm]).offers
+    return select_causes(mixed, profiles, rate, excluded=(*study.lacking, IMU, CG), known=arms).offers
 
 
 def _evidence(flown: Flown, model: Model) -> Evidence:

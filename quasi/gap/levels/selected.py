@@ -17,11 +17,12 @@ def report_selection(
     effects: Mapping[str, Effect], parameters: Callable[[Candidate], Parameters],
     tie_breakers: Mapping[frozenset[str], str], more: Callable[[Candidate], Mapping[str, float]] = lambda _: {},
 ) -> None:  # fmt: skip
-    """Fill a level's effects, ties and candidates.
+    """Fill a level's effects, ties and candidates, and the p-values that were asked of them.
 
     reproducibility  {offer: share of resamples that name it again}; parameters  of an offer, as they are stated
     tie_breakers     {ids: manoeuvre} where it is not that of the first cause; more  evidence of an offer
     """
+    level.significance = dict(selection.level)
     for tie in selection.ties:
         offers = [t.offer for t in tie.tests]
         ids = [o.cause for o in offers]

@@ -84,7 +84,8 @@ def rate_of(rate: float, compared: int, held: int) -> float:
 
 
 def found_on(level: Level, flights: Sequence[Flown]) -> dict[str, Any]:
-    """What causes remove where they were found: {"channels", "healthy", "worth": {cause: largest share}}.
+    """What causes remove where they were found: {"channels", "healthy", "significance", "worth": {cause: largest
+    share}}.
 
     flights  as they were before any calibration; the compared ones count
     """
@@ -97,18 +98,21 @@ def found_on(level: Level, flights: Sequence[Flown]) -> dict[str, Any]:
     return {
         "channels": list(SENSED_CHANNELS if level.level == "sensors" else ROTORS),
         "healthy": level.healthy,
+        "significance": level.significance,
         "worth": {c: float(np.nanmax(g.removed)) for c, g in found.items() if np.isfinite(g.removed).any()},
     }
 
 
 def reject_immaterial(
-    levels: Mapping[str, Mapping[str, list[Any]]], first: Sequence[Flown], last: Sequence[Flown], share: float
-) -> None:
+    levels: Mapping[str, Mapping[str, list[Any]]], first: Sequence[Flown], last: Sequence[Flown], share: float,
+    stricter: float = 1.0,
+) -> None:  # fmt: skip
     """Reject effects and ties of sensors and drive that remove too little error on held-out flights, or on the compared
     ones that they were found on, in place.
 
     levels  {"sensors", "drive": lists "effects", "ties", "candidates", "notes", and "found on"}, see `plain`
     first, last  held-out flights before and after the calibration; share  least share of some channel's removable error
+    stricter  factor on the p-values that were asked, for what held-out flights cannot judge
     What is judged carries "removed": {channel: share}. The share counts where the error of all channels of the same
     unit falls: a value that makes rates worse is not confirmed by one axis of them.
     """
@@ -135,27 +139,37 @@ def reject_immaterial(
             units = np.array([_unit_of(about["channels"][k]) for k in acts])
             grows = [found[cause].squares[acts][units == u].sum() < 0.0 for u in units]
             confirmed = np.where(grows, np.minimum(removed, 0.0), removed)
-            if not np.isfinite(removed).any():
-                level["notes"].append(
-                    f"whether {_words(entry)} matters is unknown on held-out flights: noise hides what it does"
-                )
-            elif np.nanmax(confirmed) < share and np.nanmax(most) < share <= about["worth"].get(cause, 0.0):
-                level["notes"].append(
-                    f"held-out flights hardly excite {_words(entry)}; what it removes of their error is unknown"
-                )
+            hidden = not np.isfinite(removed).any()
+            if hidden or (np.nanmax(confirmed) < share and np.nanmax(most) < share <= about["worth"].get(cause, 0.0)):
+                entry["judged"] = False
+                p = entry["evidence"].get("p") if "id" in entry else entry.get("p")
+                least = stricter * about["significance"].get(entry["since"], np.inf)
+                if p is not None and p >= least:
+                    why = f"hardly shown by held-out flights, and p = {p:.2g} of the others is not below {least:.2g}"
+                    _reject(level, entry, name, why)
+                elif hidden:
+                    level["notes"].append(
+                        f"whether {_words(entry)} matters is unknown on held-out flights: noise hides what it does"
+                    )
+                else:
+                    level["notes"].append(
+                        f"held-out flights hardly excite {_words(entry)}; what it removes of their error is unknown"
+                    )
             elif np.nanmax(confirmed) < share:
-                _reject(level, entry, name, max(np.nanmax(confirmed), 0.0), share, "held-out flights")
+                _reject(level, entry, name, _too_little(np.nanmax(confirmed), share, "held-out flights"))
             elif (worth := about["worth"].get(cause, np.inf)) < share:
                 # what held-out flights seem to gain by it is an error of their own session that happens to look alike
-                _reject(level, entry, name, max(worth, 0.0), share, "the flights that it was found on")
+                _reject(level, entry, name, _too_little(worth, share, "the flights that it was found on"))
 
 
-def _reject(
-    level: Mapping[str, list[Any]], entry: Mapping[str, Any], name: str, removed: float, share: float, where: str
-) -> None:
+def _too_little(removed: float, share: float, where: str) -> str:
+    removed = 100.0 * max(removed, 0.0)
+    return f"there, but it removes {removed:.0f} % of the removable error on {where}, expected {100 * share:.0f} %"
+
+
+def _reject(level: Mapping[str, list[Any]], entry: Mapping[str, Any], name: str, why: str) -> None:
     """Move an effect or a tie to the causes that were asked and are not named, with the reason."""
     level["effects" if "id" in entry else "ties"].remove(entry)
-    why = f"there, but it removes {100 * removed:.0f} % of the removable error on {where}, expected {100 * share:.0f} %"
     wald = entry["evidence"].get("wald") if "id" in entry else entry.get("wald")
     level["candidates"] += [
         {"id": i, "since": entry["since"], "score": wald, "p": None, "why_not": why}

@@ -53,7 +53,7 @@ def settle(
 
     flights  those that may choose and fit; alarm  probability of a wrong choice, shared among the ties
     process  imports and filters a flight anew with a calibration
-    Returns the winners. What cannot be settled stays a tie, with a note that says why.
+    Returns the winners. What cannot be settled stays a tie, with the likelier first and a note that says why.
     """
     ties = [(level, tie) for level in levels for tie in level.ties if set(tie["ids"]) in (TURNED_PAIR, LATE)]
     winners: list[str] = []
@@ -82,6 +82,10 @@ def settle(
                 "late telemetry; flights from before it would settle it"
             )
             continue
+        tie["ids"] = [
+            best,
+            other,
+        ]  # where it stays, the flights are corrected for the one that the model leaves less with
         agree = each.min() > -needed
         if odds < needed or not agree:
             level.notes.append(

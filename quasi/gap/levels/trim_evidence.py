@@ -25,8 +25,12 @@ from quasi.gap.levels.steady_flight import steady_flight
 # Log likelihood by which the trim has to be less probable with a cause than without, so that it rejects the cause: 1 to
 # 100, "decisive" (Kass & Raftery, Bayes factors, JASA 90, 1995).
 REJECTED_LOG = -np.log(100.0)
-HYPOTHESES = {"mass": "another mass", "cg": "a moved centre of gravity", "weight": "a weight that was added or moved",
-         "yaw": "another balance about yaw (a tilted rotor)"}  # fmt: skip
+HYPOTHESES = {
+    "mass": "another mass or another thrust of all rotors",
+    "cg": "a moved centre of gravity",
+    "weight": "a weight that was added or moved",
+    "yaw": "another balance about yaw (a tilted rotor)",
+}
 TRIM_CHANNELS = {"rotor_effectiveness": ["Fz", "Mx", "My"], "mass": ["Fz"], "thrust_factor": ["Fz"],
             "cg_offset": ["Mx", "My"], "rotor_tilt": ["Mz"]}  # fmt: skip
 NEEDLESS = {"mass": "other total thrust", "cg": "moved centre of gravity", "yaw": "tilted rotor"}

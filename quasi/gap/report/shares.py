@@ -4,6 +4,7 @@ from collections.abc import Mapping
 from typing import Any
 
 ALL = 0.995  # share from which whole percents print as 100
+SEPARATED = 3.0  # standard errors from which noise leaves no doubt (p = 0.003)
 TO_THE_FLOOR = "all above the noise floor"
 # least probability of a word: 0.9 is what `hover_trim.NAMED` asks for, 0.99 is one error in a hundred names
 CERTAINTY_WORDS = ((0.99, "very sure"), (0.9, "sure"), (0.7, "fairly sure"), (0.5, "suspected"))
@@ -70,6 +71,8 @@ def support_of(effect: Mapping[str, Any]) -> list[str]:
 def separability_of(tie: Mapping[str, Any]) -> str:
     """How far the causes of a tie are apart, and the probability that one of them is there, where it is known."""
     chance, text = tie.get("probability"), f"separability {tie['separability']:.1f} standard errors"
+    if tie["separability"] > SEPARATED:
+        text += " of noise, which is within the error of a model's form"
     return text if chance is None else f"{text}; one of them is there with the probability {chance_of(chance)}"
 
 

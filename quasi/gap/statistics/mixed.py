@@ -239,7 +239,7 @@ class MixedModel:
         for cause in pooled:
             columns = self.columns.base.get(cause, self.columns.causes[cause])
             sizes = self.columns.bounds.get(cause, np.full(len(columns), np.inf))
-            free = [(c, size) for c, size in zip(columns, sizes) if c not in known]
+            free = [(c, size) for c, size in zip(columns, sizes, strict=True) if c not in known]
             blocks.append(([c for c, _ in free], everywhere))
             precision += [size**-2.0 for _, size in free]
         for members in self._sessions:

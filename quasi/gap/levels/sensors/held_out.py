@@ -13,7 +13,7 @@ import numpy as np
 from quasi.gap.catalogue import catalogue
 from quasi.gap.flights.level import Flown, by_cause, causes_of, values_of
 from quasi.gap.levels.sensors.columns import Weak, corrected_already, in_common, weak_form
-from quasi.gap.levels.sensors.identify import NORMAL_SPREAD, SENSOR_CAUSES, size_of
+from quasi.gap.levels.sensors.identify import NORMAL_SPREAD, SENSOR_CAUSES, TURNED_PAIR, size_of
 from quasi.gap.levels.sensors.products import blocks_of, least_squares, whitener_of
 from quasi.gap.materiality import Gain, LinearErrors, each_usable, gains_of, without_nuisances
 
@@ -86,8 +86,10 @@ def _gains(
 
 
 def _without_nuisances(known: _Known, own: set[str]) -> np.ndarray:
-    """(P, P): columns times this have the flight's usual nuisances taken off, all but those of the `own` causes."""
+    """(P, P): columns times this have the flight's usual nuisances taken off, all but those of the `own` causes, and of
+    what looks like one of them: it would take off the cause."""
     own = own | ({"imu_lever_arm"} if "marker_offset" in own else set())
+    own = own | (TURNED_PAIR if own & TURNED_PAIR else set())
     of = [n.split(".")[0] for n in known.weak.names]
     spread = {k: NORMAL_SPREAD[c] for k, c in enumerate(of) if k > 0 and c in NORMAL_SPREAD and c not in own}
     return without_nuisances(known.information, spread)
