@@ -356,6 +356,9 @@ def test_what_is_not_logged_cannot_be_asked():
     level = examine([flown(1)], {"id": "bare"}, {})
     assert "does not say how its rotors follow" in level.notes[0]
     assert not level.effects
+    map_alone = {k: v for k, v in MODEL["actuators"]["command map"].items() if k != "reference voltage"}
+    level = examine([flown(1)], {**MODEL, "actuators": {**MODEL["actuators"], "command map": map_alone}}, {})
+    assert "does not say at which battery voltage its command map holds" in level.notes[0]
 
 
 def test_speeds_that_were_made_of_the_commands_say_nothing_of_the_rotors():

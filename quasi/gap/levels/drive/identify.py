@@ -68,6 +68,7 @@ BELIEVED = {
 }
 UNPOOLED = ("telemetry_delay",)  # the usual age is known; left free, it would hide its difference from a late command
 DRIVE_TIE_BREAKERS = {LATE: "quick yaw inputs: the motion determines the delay of the telemetry"}
+FOLLOWING = "how its rotors follow commands"
 CATALOGUE = catalogue()
 
 
@@ -90,7 +91,7 @@ def examine(flights: Sequence[Flown], document: Mapping[str, Any], options: Mapp
         why = "no compared flight measures its rotor speeds; those made of the commands follow their map"
         level.cannot_be_asked = [{"id": c, "why": why} for c in [*asked, "weak_motor"]]
         return level
-    belief, is_known = _belief(flights, document, kind)
+    belief, unknown = _belief(flights, document, kind)
     used, fits = _fits(flights, kind, belief, level)
     if not any(f.compared for f in used):
         why = "no compared flight has enough flying with commands and measured rotor speeds"
@@ -99,14 +100,14 @@ def examine(flights: Sequence[Flown], document: Mapping[str, Any], options: Mapp
     constants = [whole(f, d) for f, d in zip(used, fits)]
     first = [k for k, f in enumerate(used) if not f.compared] or list(range(len(used)))
     biased = np.zeros(len(CONSTANTS))
-    if belief is None or not is_known:
+    if unknown:
         middle = np.median([constants[k] for k in first], axis=0)
         # reference flights of constant voltage have no information on the battery, so its exponent is no change
         informative = [k for k in first if fits[k].volts_vary] or [k for k, d in enumerate(fits) if d.volts_vary]
         middle[EXPONENT] = np.median([constants[k][EXPONENT] for k in informative or first])
-        reference = Belief(middle, belief and belief.voltage)
+        reference = Belief(middle, belief.voltage)
         level.notes.append(
-            f"the model {document.get('id', '')} does not say how its rotors follow commands; only changes between "
+            f"the model {document.get('id', '')} does not say {unknown}; only changes between "
             "reference and compared flights can show there"
         )
     else:
@@ -150,12 +151,12 @@ def examine(flights: Sequence[Flown], document: Mapping[str, Any], options: Mapp
     learned[EXPONENT] = np.mean([d.values[EXPONENT] for d in students if d.volts_vary] or learned[EXPONENT])
     level.healthy = {
         "values": reference.values.tolist(), "voltage": reference.voltage,
-        "learned": {"kind": kind, "values": learned.tolist(), "voltage": belief and belief.voltage},
+        "learned": {"kind": kind, "values": learned.tolist(), "voltage": belief.voltage},
     }  # fmt: skip
     profiles = {n: Profile("rotors" if n in ALIKE_COLUMNS else "all", CATALOGUE[n].rivals) for n in asked}
     selection = select_causes(mixed, profiles, float(options.get("false alarm rate", 0.01)), EXACT)
     shares = selection.reproducibility(lambda rng: [p.gram(rng) for p in products], build)
-    volts = belief and belief.voltage
+    volts = belief.voltage
 
     def parameters(offer: Candidate) -> dict[str, dict[str, Any]]:
         return _parameters(mixed, selection, offer, students, volts, timing_error(interval))
@@ -174,11 +175,12 @@ def examine(flights: Sequence[Flown], document: Mapping[str, Any], options: Mapp
     return level
 
 
-def _belief(flights: Sequence[Flown], document: Mapping[str, Any], kind: str) -> tuple[Belief | None, bool]:
-    """Where the fits start, and whether the model knows it."""
-    held = belief_of(document, kind)
+def _belief(flights: Sequence[Flown], document: Mapping[str, Any], kind: str) -> tuple[Belief, str]:
+    """Where the fits start, and what of it the model does not say, "" for nothing."""
+    held, unknown = belief_of(document, kind), ""
     # next to factors of single rotors alone, a lag is taken for a model that states none
-    is_known = has_lag_of_extension(document) or "time constants" in (document.get("actuators") or {})
+    if not (has_lag_of_extension(document) or "time constants" in (document.get("actuators") or {})):
+        unknown = FOLLOWING
     volts = reference_voltage(flights)
     if held is None:
         values = np.zeros(len(CONSTANTS))
@@ -187,12 +189,12 @@ def _belief(flights: Sequence[Flown], document: Mapping[str, Any], kind: str) ->
             values[4] = 1.0
         else:
             values[3:6] = _first_map(flights)
-        return Belief(values, volts), False
+        return Belief(values, volts), FOLLOWING
     if kind == "shares" and held.voltage is None and volts is not None:
         # a map without voltage holds at the voltage of the flights that it was fitted on, which nobody noted
         held = held._replace(voltage=volts)
-        is_known = False
-    return held, is_known
+        unknown = unknown or "at which battery voltage its command map holds"
+    return held, unknown
 
 
 def _first_map(flights: Sequence[Flown]) -> np.ndarray:
