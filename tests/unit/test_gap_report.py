@@ -266,6 +266,8 @@ def test_the_first_screen_answers_what_since_when_how_sure_and_what_to_do():
     first = text[: text.index("data:image/png")]
     for question in ("what is wrong", "since when", "how sure", "what to do"):
         assert question in first
+    left = page(document([], [], [LEFT]), KNOWN, None, {})
+    assert "yaw moment: unexplained<" in left[: left.index("What to do next")]
 
 
 def test_what_reaches_the_floor_is_no_hundred_percent():

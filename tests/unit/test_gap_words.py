@@ -85,19 +85,24 @@ def test_the_summary_names_cause_size_share_rivals_ties_and_what_is_left():
 
 
 def test_the_box_begins_with_one_sentence_that_says_it_all():
-    """What happens and how much, what of the error it explains, what lost, what is open: bold; the details follow."""
+    """What happens and how much, what of the error it explains, what lost, what is open; the details are a list."""
     made = document([EFFECT], [TIE], [LEFT])
     text = page(made, KNOWN, None, {})
-    first, more = re.search(
-        r'class="verdict.*?<strong>(.*?)</strong><span class="more">(.*?)</span></p>', text
-    ).groups()
+    first = re.search(r'class="verdict.*?<strong>(.*?)</strong></p>', text)[1]
     assert first == (
         "The rotors make more thrust near the floor (ground effect: c = 5.64 ± 0.48); it explains 86 % (95 %: 70 to "
         "95) of the removable vertical force error (Fz) on the held-out flight; tether was tested in place of ground "
         "effect and lost (tether: p = 0.69); the data cannot decide whether mass or thrust factor is there; something "
         "in yaw moment stays unexplained."
     )
-    assert html.unescape(f"{first} {more}") == made["summary"] and more.startswith("Ground effect: this is new")
+    rest = [html.unescape(item) for item in re.search(r"<ul.*?>(.*?)</ul>", text, re.S)[1].split("<li>")[1:]]
+    rest = [re.sub(r"</li>\s*", "", item) for item in rest]
+    assert " ".join([html.unescape(first), *rest]) == made["summary"]
+    assert len(rest) > 3 and rest[0].startswith("Ground effect: this is new")
+    alone = re.search(
+        r'class="verdict.*?<span class="more">(.*?)</span></p>', page(document([EFFECT]), KNOWN, None, {})
+    )
+    assert alone[1].startswith("This is new")
     none = re.search(r'class="verdict.*?<strong>(.*?)</strong></p>', page(document(), KNOWN, None, {}))[1]
     assert none == html.escape(document()["summary"])
 

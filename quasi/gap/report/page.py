@@ -125,7 +125,8 @@ def page(
         ),
     ]
     first, *rest = summed_up(diagnosis, effects)
-    if len(diagnosis["effects"]) > 1:  # what of several would be a wall of words is a list
+    # what of several would be a wall of words is a list
+    if sum(len(diagnosis[part]) for part in ("effects", "ties", "unexplained")) > 1:
         sections.insert(2, report.render_list(rest))
         rest = []
     sections.insert(1, _answers(diagnosis, effects))
@@ -142,6 +143,10 @@ def _answers(diagnosis: Mapping[str, Any], known: Mapping[str, Effect]) -> str:
     rows += [
         [alternatives(tie["ids"]), since_of(tie), "it is one of them; these flights do not separate them"]
         for tie in diagnosis["ties"]
+    ]
+    left = {CHANNEL_NAMES.get(u["channel"], u["channel"]): since_of(u) for u in diagnosis["unexplained"]}
+    rows += [
+        [f"{channel}: unexplained", since, "no cause that was asked explains it"] for channel, since in left.items()
     ]
     if not rows:
         return ""
