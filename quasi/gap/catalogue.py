@@ -149,11 +149,13 @@ def _slope(effect: Effect, evidence: Evidence, vehicle: Vehicle, values: Values,
     return (sides[0] - sides[1]) / (2.0 * step)
 
 
-def beyond_slope(effect: Effect, evidence: Evidence, vehicle: Vehicle, values: Values) -> np.ndarray:
-    """What a bending effect at `values` is more than its slope there times the values (n, 6); 0 for straight ones."""
+def beyond_slope(
+    effect: Effect, evidence: Evidence, vehicle: Vehicle, values: Values, slopes: Mapping[str, np.ndarray]
+) -> np.ndarray:
+    """What a bending effect at `values` is more than its slopes there, `columns_of`, times the values (n, 6); 0 for
+    straight ones."""
     if not effect.is_nonlinear or not any(values.get(n, 0.0) for n in effect.parameters):
         return np.zeros((len(evidence), 6))
-    slopes = columns_of(effect, evidence, vehicle, dict.fromkeys(effect.parameters, 0.0) | dict(values))
     return whole_of(effect, evidence, vehicle, values) - sum(slopes[n] * values[n] for n in values)
 
 

@@ -267,7 +267,8 @@ def test_a_wind_is_a_shift_of_airspeed_where_lift_goes_with_its_square_and_force
     assert evidence.residual[:, 2].mean() == pytest.approx(-0.0045 * 9.0, rel=0.1) and abs(lift.mean()) < 0.008
     there = columns_of(effect, evidence, vehicle, value)
     assert not any(np.any(c[:, 3:]) for c in there.values()) and np.any(evidence.residual[:, 3])
-    forces = sum(there[n][:, :3] * v for n, v in value.items()) + beyond_slope(effect, evidence, vehicle, value)[:, :3]
+    more = beyond_slope(effect, evidence, vehicle, value, there)
+    forces = sum(there[n][:, :3] * v for n, v in value.items()) + more[:, :3]
     np.testing.assert_allclose(forces, evidence.residual[:, :3], atol=1e-9)
 
 

@@ -4,7 +4,7 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from itertools import pairwise
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -34,6 +34,15 @@ LIGHT = 1e-6  # ridge of the per-flight fit whose residual gives the noise
 Values = Mapping[str, Mapping[str, float]]  # {cause: {parameter: deviation}}
 
 
+class Part(NamedTuple):
+    """What a design holds of one flight, see `Design`."""
+
+    thinned: Thinned
+    blocks: np.ndarray
+    channels: np.ndarray
+    raw: np.ndarray
+
+
 class Design(NamedTuple):
     """Everything the search works on.
 
@@ -56,6 +65,10 @@ class Design(NamedTuple):
     whitener: Whitener
     lacking: dict[str, str]
     values: Sequence[Values]
+
+    def part(self, flight: int) -> Part:
+        """What it holds of one flight, by number."""
+        return Part(self.thinned[flight], self.blocks[flight], self.channels[flight], self.raw[flight])
 
     def mixed(self, use: Sequence[int], compared: Sequence[bool], prior: np.ndarray | None = None) -> MixedModel:
         """The mixed model of some of the flights. prior  precision (shared, shared) of the model's own terms.
@@ -214,7 +227,7 @@ def gather_design(
             del asked[name]
     thinned, names, layout = [], [], None
     for flight, seen, columns, at in zip(flights, true, made, values):
-        parts = [("residual", _straight(flight, asked, vehicle, at))]
+        parts = [("residual", _straight(flight, asked, vehicle, at, columns))]
         shared = base_columns(seen)
         own, of_session = nuisances(seen), session_nuisances(seen)
         parts += shared + [(n, c) for n, c, _ in (*own, *of_session)]
@@ -245,7 +258,9 @@ def gather_design(
         )  # fmt: skip
     breaks = [part.breaks for part in thinned]
     whitener = autoregression([own_fit(part.columns, layout) for part in thinned], breaks, ORDER)
-    return _study(flights, thinned, layout, names, whitener, lacking, values)
+    parts = [_part(flight, part, whitener, len(flights)) for flight, part in zip(flights, thinned)]
+    return Design(list(flights), **_listed(parts), columns=layout, names=names, whitener=whitener, lacking=lacking,
+                  values=values)  # fmt: skip
 
 
 def moved(study: Design, effects: Mapping[str, Effect], vehicle: Vehicle, values: Sequence[Values]) -> Design:
@@ -255,32 +270,44 @@ def moved(study: Design, effects: Mapping[str, Effect], vehicle: Vehicle, values
     met = {n for own in (*values, *study.values) for n in own}
     again = any(effects[n].corrected for n in met if n in effects)
     changed = [n for n in study.columns.causes if again or n in met]
-    thinned = []
-    for flight, old, own in zip(study.flights, study.thinned, values):
-        place, parts = [0], [_straight(flight, effects, vehicle, own)]
+    parts = []
+    for k, (flight, old, own) in enumerate(zip(study.flights, study.thinned, values)):
+        if own == study.values[k] and not any(any(at.values()) for at in own.values()):
+            parts.append(study.part(k))  # as most reference flights: nothing is there
+            continue
         true = corrected(flight, effects, own)
+        slopes = {
+            name: columns_of(
+                effects[name], flight if effects[name].corrected else true, vehicle,
+                own.get(name) or dict.fromkeys(effects[name].parameters, 0.0),
+            )
+            for name in changed
+        }  # fmt: skip
+        place, columns = [0], [_straight(flight, effects, vehicle, own, slopes)]
         if again:  # terms of some flights read with the error would, with causes read without, make up any change
             nuisance = study.columns.nuisance
             place += [*study.columns.shared, *nuisance, *(c for c in study.columns.session if c not in nuisance)]
-            parts += [c for _, c in base_columns(true)] + [c for _, c, _ in nuisances(true)]
-            parts += [c for _, c, _ in session_nuisances(true)]
+            columns += [c for _, c in base_columns(true)] + [c for _, c, _ in nuisances(true)]
+            columns += [c for _, c, _ in session_nuisances(true)]
         for name in changed:
-            at = own.get(name) or dict.fromkeys(effects[name].parameters, 0.0)
             place += study.columns.causes[name]
-            shown = flight if effects[name].corrected else true
-            parts += columns_of(effects[name], shown, vehicle, at).values()
-        columns = old.columns.copy()
-        columns[:, :, place] = _thinned(flight, parts).columns
-        thinned.append(old._replace(columns=columns))
-    return _study(study.flights, thinned, study.columns, study.names, study.whitener, study.lacking, values)
+            columns += slopes[name].values()
+        whole = old.columns.copy()
+        whole[:, :, place] = _thinned(flight, columns).columns
+        parts.append(_part(flight, old._replace(columns=whole), study.whitener, len(study.flights)))
+    return study._replace(values=values, **_listed(parts))
 
 
-def _straight(flight: Evidence, effects: Mapping[str, Effect], vehicle: Vehicle, values: Values) -> np.ndarray:
+def _straight(
+    flight: Evidence, effects: Mapping[str, Effect], vehicle: Vehicle, values: Values,
+    slopes: Mapping[str, Mapping[str, np.ndarray]],
+) -> np.ndarray:  # fmt: skip
     """Residual (n, 6) less what curved causes at their values are more than their slopes."""
     true, left = corrected(flight, effects, values), flight.residual
     for name, at in values.items():
-        if name in effects:
-            left = left - beyond_slope(effects[name], flight if effects[name].corrected else true, vehicle, at)
+        if name in slopes:
+            shown = flight if effects[name].corrected else true
+            left = left - beyond_slope(effects[name], shown, vehicle, at, slopes[name])
     return left
 
 
@@ -290,17 +317,15 @@ def _thinned(flight: Evidence, columns: Sequence[np.ndarray]) -> Thinned:
     return thin(stacked, flight.breaks, flight.t, BAND, 2 * ORDER)
 
 
-def _study(
-    flights: Sequence[Evidence], thinned: list[Thinned], layout: Columns, names: list[str], whitener: Whitener,
-    lacking: dict[str, str], values: Sequence[Values],
-) -> Design:  # fmt: skip
-    blocks, channels = [], []
-    for part, flight in zip(thinned, flights):
-        grams = channel_grams(part.columns, part.breaks, whitener, flight.t[part.rows], BLOCK)
-        blocks.append(grams.sum(axis=1))
-        channels.append(in_stretches(grams, len(flights)))
-    raw = [np.einsum("nki,nkj->kij", part.columns, part.columns, optimize=True) for part in thinned]
-    return Design(list(flights), thinned, layout, names, blocks, channels, raw, whitener, lacking, values)
+def _part(flight: Evidence, thinned: Thinned, whitener: Whitener, count: int) -> Part:
+    """What a design of `count` flights holds of one of them."""
+    grams = channel_grams(thinned.columns, thinned.breaks, whitener, flight.t[thinned.rows], BLOCK)
+    raw = np.einsum("nki,nkj->kij", thinned.columns, thinned.columns, optimize=True)
+    return Part(thinned, grams.sum(axis=1), in_stretches(grams, count), raw)
+
+
+def _listed(parts: Sequence[Part]) -> dict[str, list[Any]]:
+    return {name: [getattr(part, name) for part in parts] for name in Part._fields}
 
 
 def own_fit(stack: np.ndarray, layout: Columns) -> np.ndarray:

@@ -145,8 +145,9 @@ def everything(
         for cause in study.columns.causes:
             at = values.get(cause) or dict.fromkeys(asked[cause].parameters, 0.0)
             shown = flight if asked[cause].corrected else true
-            columns += list(columns_of(asked[cause], shown, vehicle, at).values())
-            bent += beyond_slope(asked[cause], shown, vehicle, at)
+            slopes = columns_of(asked[cause], shown, vehicle, at)
+            columns += slopes.values()
+            bent += beyond_slope(asked[cause], shown, vehicle, at, slopes)
         return flight.residual - bent - np.einsum("k,knj->nj", coefficients, np.array(columns))
 
     return residual

@@ -131,10 +131,10 @@ def residual_of(flight: Evidence, joint: Joint, vehicle: Vehicle) -> np.ndarray:
         left = left - sum(b * column for b, (_, column) in zip(joint.base, base_columns(true)))
     effects = {e.id: e for e, *_ in joint.causes}
     seen = {name: flight if effect.corrected else true for name, effect in effects.items()}
-    left = left - sum(beyond_slope(effects[n], seen[n], vehicle, at) for n, at in bent.items())
+    slopes = {n: columns_of(effect, seen[n], vehicle, bent.get(n, {})) for n, effect in effects.items()}
+    left = left - sum(beyond_slope(effects[n], seen[n], vehicle, at, slopes[n]) for n, at in bent.items())
     for effect, _, _, own in joint.causes:
-        columns = columns_of(effect, seen[effect.id], vehicle, bent.get(effect.id, {}))
-        left = left - sum(columns[n] * v for n, v in own.items())
+        left = left - sum(slopes[effect.id][n] * v for n, v in own.items())
     for place, value in joint.functions:
         left = left - flight.only(AXES[place.channel], joint.basis.functions(flight, place.choice.which) @ value)
     return left
