@@ -1,6 +1,6 @@
 """Whether the compared model is worth a comparison: axes on which it explains nothing neither name nor judge causes."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -9,7 +9,7 @@ import pandas as pd
 
 from quasi.attitude import GRAVITY
 from quasi.filtering.forces import half_length
-from quasi.gap.effect import Vehicle
+from quasi.gap.effect import Effect, Vehicle
 from quasi.gap.flights.evidence import Evidence
 from quasi.gap.levels.forces.case import Case
 from quasi.gap.levels.forces.design import gather_design, with_own_terms_anew
@@ -18,6 +18,7 @@ from quasi.gap.statistics.whitening import stretches
 from quasi.model.model import AXES, Model
 
 NEAR_NOTHING = 0.1  # share of the variance: a model must explain it for an axis to count, unless errors remember less
+ACCELERATIONS = frozenset({"ax", "ay", "az"})  # channels of sensors
 ROUNDING = 1e-9  # of the weight: a force that follows from an attitude made of it is no more than rounding
 MEMORY_S = 1.0  # s: what errors of a model that come from flight, and not from instruments, repeat within
 
@@ -98,30 +99,43 @@ def worth_of(model: Model, reference: Sequence[Evidence]) -> Worth:
     return Worth(shares, excluded, wrong)
 
 
+def faked_axes(causes: Sequence[Mapping[str, Any]], effects: Mapping[str, Effect]) -> Collection[str]:
+    """Axes of which corrections of all flights changed the measurements.
+
+    causes  {"id", "since"} that flights were corrected for; effects  the catalogue. What the accelerometer shows alone
+    moves forces, and no moment.
+    """
+    always = [effects.get(c["id"]) for c in causes if c["since"] == "always"]
+    if not always:
+        return ()
+    return AXES[:3] if all(effect and set(effect.channels) <= ACCELERATIONS for effect in always) else AXES
+
+
 def by_role(evidence: Mapping[str, Evidence], roles: Mapping[str, str]) -> dict[str, list[Evidence]]:
     """Flights by what they are for."""
     return {r: [e for k, e in evidence.items() if roles[k] == r] for r in ("reference", "compared", "held out")}
 
 
-def worth_after(model: Model, healthy: Sequence[Evidence], corrected: bool) -> Worth:
-    """What the model explains of reference flights: of `corrected` ones by its own terms fitted anew.
+def worth_after(model: Model, healthy: Sequence[Evidence], corrected: Collection[str]) -> Worth:
+    """What the model explains of reference flights: on axes that were `corrected` by its own terms fitted anew.
 
     Its terms hold what the sensors faked: as they are they explain little of corrected flights.
     """
-    return worth_of(model, with_own_terms_anew(healthy) if corrected else healthy)
+    return worth_of(model, with_own_terms_anew(healthy, corrected) if corrected else healthy)
 
 
 def refit_loses(
     model: Model, groups: Mapping[str, Sequence[Evidence]], tables: Mapping[str, pd.DataFrame], vehicle: Vehicle,
-    settings: Mapping[str, Any],
+    settings: Mapping[str, Any], faked: Collection[str],
 ) -> bool:  # fmt: skip
-    """Whether the model's own terms, fitted anew to corrected flights without any cause, do worse on held-out ones."""
+    """Whether the model's own terms of axes that were `faked`, fitted anew to corrected flights without any cause, do
+    worse on held-out ones."""
     learning = [*groups["reference"], *groups["compared"]]
     if not learning or not groups["held out"]:
         return False
-    positions = tuple(AXES.index(a) for a in worth_after(model, groups["reference"], True).excluded)
+    positions = tuple(AXES.index(a) for a in worth_after(model, groups["reference"], faked).excluded)
     learning, held = ([replace(e, excluded=positions) for e in flights] for flights in (learning, groups["held out"]))
     compared = [False] * len(groups["reference"]) + [True] * len(groups["compared"])
-    case = Case(model, {}, vehicle, learning, compared, held, tables, [], True, settings)
-    fitted = Model(case.extended([], gather_design(learning, {}, vehicle), "trial", True), "trial")
+    case = Case(model, {}, vehicle, learning, compared, held, tables, [], faked, settings)
+    fitted = Model(case.extended([], gather_design(learning, {}, vehicle), "trial", faked), "trial")
     return bool(losses(model, fitted, held, tables, settings["horizons"], settings["material share"], commanded=False))

@@ -1,6 +1,6 @@
 """The whole diagnosis of a gap: what is wrong, why, what is left, and what the extended model gains; and its tables."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any
@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 
 from quasi.errors import DataError
-from quasi.gap.base_model import Worth, by_role, refit_loses, worth_after
+from quasi.gap.base_model import Worth, by_role, faked_axes, refit_loses, worth_after
 from quasi.gap.catalogue import in_room
 from quasi.gap.constant_loads import constant_force_ties, in_ties
 from quasi.gap.effect import Effect, as_flown, room_of, vehicle_of
@@ -100,9 +100,10 @@ def diagnose(
     vehicle, effects = vehicle_of(model, room=room), in_room(effects, room)
     sessions = settings.get("sessions") or {}
     evidence = {k: replace(e, session=sessions.get(k, "")) for k, e in evidence.items()}
-    faked = any(c["since"] == "always" for c in calibration.get("causes", ()))
-    faked = faked and made_of(model, [e for k, e in evidence.items() if roles[k] != "held out"])
-    corrected = faked and not refit_loses(model, by_role(evidence, roles), flights, vehicle, settings)
+    own = made_of(model, [e for k, e in evidence.items() if roles[k] != "held out"])
+    faked = faked_axes(calibration.get("causes", ()), effects) if own else ()
+    loses = bool(faked) and refit_loses(model, by_role(evidence, roles), flights, vehicle, settings, faked)
+    corrected = () if loses else faked
     base = worth_after(model, by_role(evidence, roles)["reference"], corrected)
     positions = tuple(AXES.index(a) for a in base.excluded)
     evidence = {k: replace(e, excluded=positions) for k, e in evidence.items()}
@@ -124,7 +125,7 @@ def diagnose(
     }
     lists["notes"] += [s for s in [session_sentence(sessions, roles)] if s]
     lists["notes"] += _weighed(model, [*groups["compared"], *held])
-    if faked and not corrected:
+    if loses:
         lists["notes"].append(
             "fitting the model's own terms anew to the corrected flights would make held-out flights worse; the "
             "model keeps its terms"
@@ -259,7 +260,7 @@ def diagnose(
         "horizons": list(settings["horizons"]),
         "rollouts": rolled["fell"],
         "halves": own,
-        "fitted anew": found is not None and again,
+        "fitted anew": found is not None and bool(again),
         "scores": scores,
         "calibration": {k: calibration[k] for k in ("compared", "reference", "causes", "notes") if k in calibration},
     }
@@ -351,7 +352,7 @@ def _yardsticks(
 
 def _gains(
     case: Case, named: Sequence[dict[str, Any]], kept: Sequence[Cause], found: Found, rolled: Mapping[str, Any],
-    again: bool, best: tuple[Squares, Squares, np.ndarray] | None,
+    again: Collection[str], best: tuple[Squares, Squares, np.ndarray] | None,
 ) -> None:  # fmt: skip
     """Fill in what each cause is worth, left out alone: of forces and moments, and of roll-outs in the quantities where
     it acts.

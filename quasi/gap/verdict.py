@@ -7,7 +7,7 @@ by axis, and of simulations by quantity and horizon; a loss counts where its who
 material.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -60,7 +60,7 @@ def judge_causes(case: Case, found: Found) -> tuple[Settled, unexplained.Left]:
     _drop_ties_in_part(case, found, sure)
     settled = _settled(case, found, sure)
 
-    def made(causes: Sequence[Cause], anew: bool) -> Model:
+    def made(causes: Sequence[Cause], anew: Collection[str]) -> Model:
         return Model(case.extended(causes, found.study, "trial", anew), "trial")
 
     settled = _of_flights(case, settled, made)

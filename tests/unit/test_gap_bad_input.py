@@ -264,8 +264,8 @@ def test_a_reference_flight_is_shown_without_what_only_changed(flight):
         causes = [cause_of("mass", since, values["mass"]), cause_of("body_drag", "always", values["body_drag"])]
         drive = [(CATALOGUE["rotor_speed_scale"], values["rotor_speed_scale"])]
         always = ["rotor_speed_scale"] if drive_since == "always" else []
-        case = Case(MODEL, CATALOGUE, vehicle, [], [], [], {}, drive, False, settings, always)
-        extended = Model(case.extended(causes, None, "test", False), "test")
+        case = Case(MODEL, CATALOGUE, vehicle, [], [], [], {}, drive, (), settings, always)
+        extended = Model(case.extended(causes, None, "test", ()), "test")
         made = wrench_tables(evidence, roles, case.left(extended, causes, None, False, roles))["forces_residuals"]
         return {key: part.filter(regex="_after$").to_numpy() for key, part in made.groupby("flight")}
 

@@ -9,8 +9,10 @@ from test_gap_halves import flown, stronger
 from test_gap_of_references import SETTINGS
 
 from quasi.gap import diagnosis
-from quasi.gap.base_model import refit_loses
+from quasi.gap.base_model import faked_axes, refit_loses
+from quasi.gap.catalogue import catalogue
 from quasi.gap.effect import vehicle_of
+from quasi.model.model import AXES
 
 
 @pytest.mark.parametrize(("true", "loses"), [(0.04, False), (0.0, True)])
@@ -21,7 +23,7 @@ def test_terms_fitted_anew_lose_where_held_out_flights_do_not_have_what_they_too
     evidence = {k: replace(e, key=k) for k, (_, e) in made.items()}
     groups = {"reference": [evidence["f0"]], "compared": [evidence["f1"]], "held out": [evidence["f2"]]}
     tables = {k: table for k, (table, _) in made.items()}
-    assert refit_loses(base, groups, tables, vehicle_of(base), SETTINGS) is loses
+    assert refit_loses(base, groups, tables, vehicle_of(base), SETTINGS, AXES) is loses
 
 
 @pytest.mark.parametrize(("loses", "excluded"), [(False, []), (True, ["Fy"])])
@@ -36,8 +38,23 @@ def test_a_model_that_keeps_its_terms_is_judged_by_them(loses, excluded, monkeyp
     monkeypatch.setattr(diagnosis, "refit_loses", lambda *_: loses)
     level = {n: [] for n in ("effects", "ties", "findings", "candidates", "cannot_be_asked", "notes")}
     level |= {"found on": {"channels": list("pqr"), "healthy": {}, "worth": {}}}
-    calibration = {"levels": {"sensors": level, "drive": level}, "causes": [{"since": "always"}]}
+    calibration = {"levels": {"sensors": level, "drive": level}, "causes": [{"id": "imu_lever_arm", "since": "always"}]}
     roles = {"f0": "reference", "f1": "compared"}
     made = diagnosis.diagnose(model, calibration, evidence, {}, roles, {}, SETTINGS, ([], []), "g").document
     assert made["base model"]["excluded"] == excluded
     assert any("keeps its terms" in note for note in made["notes"]) is loses
+
+
+@pytest.mark.parametrize(
+    ("causes", "axes"),
+    [
+        ([("imu_lever_arm", "always")], AXES[:3]),
+        ([("imu_lever_arm", "always"), ("gyro_scale", "changed")], AXES[:3]),
+        ([("imu_lever_arm", "always"), ("gyro_scale", "always")], AXES),
+        ([("telemetry_delay", "always")], AXES),
+        ([("imu_lever_arm", "changed")], ()),
+    ],
+)
+def test_what_the_accelerometer_shows_alone_leaves_the_moments_terms(causes, axes):
+    """A pitch moment fitted anew to flights that had changed made held-out ones worse, and all terms were kept."""
+    assert faked_axes([{"id": i, "since": since} for i, since in causes], catalogue()) == axes

@@ -71,7 +71,7 @@ def test_restless_air_is_nothing_unknown_that_a_name_gives_way_to(ground, axes):
     held = [flight(ground, s, air(1.2, axes)) for s in (5, 6)]
     compared, model, effect = [False] * 4 + [True] * 4, ground[1], catalogue()["thrust_factor"]
     vehicle, settings = vehicle_of(model), {"false alarm rate": 0.01, "extended model ID": "x"}
-    case = Case(model, {effect.id: effect}, vehicle, learning, compared, held, {}, [], False, settings)
+    case = Case(model, {effect.id: effect}, vehicle, learning, compared, held, {}, [], (), settings)
     study = gather_design(learning, {effect.id: effect}, vehicle)
     test = SimpleNamespace(p=3e-4, offer=Candidate(effect.id, "changed", (0,)))
     cause = SimpleNamespace(effect=effect, since="changed", value={"factor": -0.05}, apart=1.0, test=test)

@@ -40,7 +40,7 @@ def case(ground):  # noqa: F811
     compared = [k >= 4 for k in range(8)]
     learning, held = [made(k, flag) for k, flag in enumerate(compared)], [made(90, True)]
     settings = {"extended model ID": "more"}
-    case = Case(model, ASKED, vehicle, learning, compared, held, {}, [], False, settings)
+    case = Case(model, ASKED, vehicle, learning, compared, held, {}, [], (), settings)
     values = [{"ground_effect": WHOLE} if flag else {} for flag in compared]
     study = gather_design(learning, ASKED, vehicle, values)
     test = study.mixed(range(8), compared).test(Candidate("ground_effect", "changed", (0, 1)))

@@ -1,7 +1,7 @@
 """Cross-products of all flights of a gap: the model's terms, nuisances, causes, and where a residual may live."""
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from itertools import pairwise
 from typing import Any, NamedTuple
@@ -111,22 +111,24 @@ ROW_MEMORY = 20.0  # samples that a residual remembers: information is counted t
 
 
 def refit_with(
-    study: Design, compared: Sequence[bool], pairs: Sequence[tuple[Cause, Mapping[str, float]]]
-) -> np.ndarray:
-    """`refit` to all flights of a design, with causes and their deviations by name."""
+    study: Design, compared: Sequence[bool], pairs: Sequence[tuple[Cause, Mapping[str, float]]],
+    axes: Collection[str] = AXES,
+) -> np.ndarray:  # fmt: skip
+    """`refit` to all flights of a design, with causes and their deviations by name; of some axes alone."""
     flown, values = study.flown(compared), {}
     for cause, deviations in pairs:
         sizes = in_columns(cause.effect, deviations, flown)
         values[cause.effect.id, cause.since] = {cause.effect.fitted.index(n): x for n, x in sizes.items()}
-    return refit(study, range(len(compared)), compared, values)
+    return refit(study, range(len(compared)), compared, values, axes)
 
 
 def refit(
-    study: Design, use: Sequence[int], compared: Sequence[bool], values: Mapping[tuple[str, str], Mapping[int, float]]
-) -> np.ndarray:
+    study: Design, use: Sequence[int], compared: Sequence[bool], values: Mapping[tuple[str, str], Mapping[int, float]],
+    axes: Collection[str] = AXES,
+) -> np.ndarray:  # fmt: skip
     """Changes (S,) of the model's own coefficients once causes are taken out, by least squares in plain residuals.
 
-    values  {(cause, since): {position of the parameter: deviation}}
+    values  {(cause, since): {position of the parameter: deviation}}; axes  whose terms change
     Unwhitened, every axis by its own residual: what a simulation needs is a small error, not a white one. Flights'
     nuisances are integrated out. With a cause, the terms that had to stand in for it find their own values.
     """
@@ -145,7 +147,8 @@ def refit(
         inner += gram[np.ix_(columns.shared, columns.shared)]
         right += gram[columns.shared] @ target
     scale = np.sqrt(np.maximum(np.diag(inner), 1e-300))
-    return np.linalg.solve(inner / np.outer(scale, scale) + LIGHT * np.eye(len(scale)), right / scale) / scale
+    found = np.linalg.solve(inner / np.outer(scale, scale) + LIGHT * np.eye(len(scale)), right / scale) / scale
+    return np.where([study.names[c].split(":")[0] in axes for c in columns.shared], found, 0.0)
 
 
 def base_columns(evidence: Evidence) -> list[tuple[str, np.ndarray]]:
@@ -168,14 +171,15 @@ def base_columns(evidence: Evidence) -> list[tuple[str, np.ndarray]]:
     return result
 
 
-def with_own_terms_anew(flights: Sequence[Evidence]) -> list[Evidence]:
-    """Flights with what their model's terms, fitted to all of them without their means, would predict."""
+def with_own_terms_anew(flights: Sequence[Evidence], axes: Collection[str] = AXES) -> list[Evidence]:
+    """Flights with what their model's terms, those of some axes fitted to all of them without their means, would
+    predict."""
     if not flights:
         return []
     columns = [np.stack([c for _, c in base_columns(e)], axis=-1) for e in flights]  # (n, 6, P)
     swings = [c - c.mean(axis=0) for c in columns]
     change = np.zeros((len(AXES), columns[0].shape[-1]))
-    for k in range(len(AXES)):
+    for k in (AXES.index(axis) for axis in axes):
         left = np.concatenate([e.residual[:, k] - e.residual[:, k].mean() for e in flights])
         own = np.concatenate([c[:, k] for c in swings])
         change[k] = np.linalg.lstsq(own, left, rcond=None)[0]

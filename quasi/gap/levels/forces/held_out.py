@@ -185,7 +185,7 @@ def best_wrong(
         effect = case.effects[name]
         test = mixed.best(name, since, (), mixed.pooled(since), effect.parts)
         found, sizes = dict(zip(test.offer.which, map(float, test.value))), estimate(test, effect, flown)[0]
-        changes = refit(study, flights, case.compared, {(name, since): found}) if anew else None
+        changes = refit(study, flights, case.compared, {(name, since): found}, anew) if anew else None
         wrong = [(effect, sizes)]
         try:
             model = Model(extend(case.model, wrong, case.vehicle, "wrong", "trial", changes), f"{name}, wrong")
