@@ -178,6 +178,8 @@ def settle(
             results = [_in_part(s, c, found.study.flights) for c, s in zip(kept, results)]
             refuted = [k for k, s in enumerate(results) if s.outcome == REFUTED]
             if not refuted:
+                if fitted.settled:
+                    _widen(kept, fitted)
                 estimates = {_key(c): Estimate(*e) for c, *e in zip(kept, fitted.values, fitted.std, fitted.used)}
                 confirmations = {_key(c): s for c, s in zip(kept, results)}
                 return Settled(kept, dropped, confirmations, estimates, fitted.notes)
@@ -191,6 +193,16 @@ def settle(
         confirmations = {_key(c): s for c, s in results if s.outcome != REFUTED}
         return Settled([c for c in kept if _key(c) in confirmations], dropped, confirmations, {}, [note])
     return Settled([], dropped, {}, {}, [])
+
+
+def _widen(causes: Sequence[Cause], fitted: output_error.Fitted) -> None:
+    """Widen the standard errors of parameters that output error puts elsewhere until the two estimates agree.
+
+    Source: Birge, The calculation of errors by the method of least squares, Physical Review 40, 1932.
+    """
+    for cause, value, std in zip(causes, fitted.values, fitted.std):
+        far = output_error.disagreeing(cause, value, std)
+        cause.std = {n: s * far.get(n, 1.0) for n, s in cause.std.items()}
 
 
 def _honest(result: Confirmation, cause: Cause, flights: float) -> Confirmation:

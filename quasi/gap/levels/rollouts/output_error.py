@@ -206,6 +206,15 @@ def fit(
     return Fitted(values, std, used, notes, bool(np.all(moved < CONVERGED_STEP)), noise)
 
 
+def disagreeing(cause: Cause, value: Values, std: Values) -> dict[str, float]:
+    """{parameter: how many standard errors two estimates of it are apart} where these disagree.
+
+    value, std  by output error
+    """
+    apart = {n: abs(value[n] - cause.value[n]) / np.hypot(std[n], cause.std[n]) for n in _names(cause)}
+    return {n: float(times) for n, times in apart.items() if times > DISAGREEMENT}
+
+
 def _names(cause: Cause) -> list[str]:
     return [cause.effect.fitted[k] for k in cause.test.offer.which]
 
@@ -229,11 +238,11 @@ def _against(
     """Why an estimate by output error is not to be used, or nothing."""
     if not settled:
         return f"its fit by output error did not settle in {MOST_STEPS} steps"
+    far = disagreeing(cause, value, std)
     for n in _names(cause):
-        apart = abs(value[n] - cause.value[n]) / np.hypot(std[n], cause.std[n])
-        if apart > DISAGREEMENT:
+        if n in far:
             return (
-                f"output error puts {n} {apart:.1f} standard errors off the value from forces and moments "
+                f"output error puts {n} {far[n]:.1f} standard errors off the value from forces and moments "
                 f"({value[n]:.3g} against {cause.value[n]:.3g} beyond neutral)"
             )
         low, high = (limits or {})[cause.effect.fitted.index(n)] if limits else (-np.inf, np.inf)
