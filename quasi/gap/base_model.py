@@ -18,7 +18,7 @@ from quasi.gap.statistics.whitening import stretches
 from quasi.model.model import AXES, Model
 
 NEAR_NOTHING = 0.1  # share of the variance: a model must explain it for an axis to count, unless errors remember less
-ACCELERATIONS = frozenset({"ax", "ay", "az"})  # channels of sensors
+OF_ACCELEROMETER = frozenset({"ax", "ay", "az"})  # channels of sensors
 ROUNDING = 1e-9  # of the weight: a force that follows from an attitude made of it is no more than rounding
 MEMORY_S = 1.0  # s: what errors of a model that come from flight, and not from instruments, repeat within
 
@@ -108,7 +108,7 @@ def faked_axes(causes: Sequence[Mapping[str, Any]], effects: Mapping[str, Effect
     always = [effects.get(c["id"]) for c in causes if c["since"] == "always"]
     if not always:
         return ()
-    return AXES[:3] if all(effect and set(effect.channels) <= ACCELERATIONS for effect in always) else AXES
+    return AXES[:3] if all(effect and set(effect.channels) <= OF_ACCELEROMETER for effect in always) else AXES
 
 
 def by_role(evidence: Mapping[str, Evidence], roles: Mapping[str, str]) -> dict[str, list[Evidence]]:
