@@ -13,6 +13,7 @@ from quasi.gap.effect import Effect, Vehicle
 from quasi.gap.flights.evidence import Evidence
 from quasi.gap.levels.forces.case import Case
 from quasi.gap.levels.forces.design import gather_design, with_own_terms_anew
+from quasi.gap.levels.forces.error_reduction import after, before, wrench_score
 from quasi.gap.losses import losses
 from quasi.gap.statistics.whitening import stretches
 from quasi.model.model import AXES, Model
@@ -129,7 +130,11 @@ def refit_loses(
     settings: Mapping[str, Any], faked: Collection[str],
 ) -> bool:  # fmt: skip
     """Whether the model's own terms of axes that were `faked`, fitted anew to corrected flights without any cause, do
-    worse on held-out ones."""
+    worse on held-out ones.
+
+    As for causes (`losses.reject_losing_causes`), a smaller factor than an axis of force or moment gains does not
+    count: what it moves in simulations are terms of other axes, which err.
+    """
     learning = [*groups["reference"], *groups["compared"]]
     if not learning or not groups["held out"]:
         return False
@@ -138,4 +143,10 @@ def refit_loses(
     compared = [False] * len(groups["reference"]) + [True] * len(groups["compared"])
     case = Case(model, {}, vehicle, learning, compared, held, tables, [], faked, settings)
     fitted = Model(case.extended([], gather_design(learning, {}, vehicle), "trial", faked), "trial")
-    return bool(losses(model, fitted, held, tables, settings["horizons"], settings["material share"], commanded=False))
+    found = losses(model, fitted, held, tables, settings["horizons"], settings["material share"], commanded=False)
+    worst = max((1.0 + loss.growth for loss in found if not (loss.of_trim or loss.one_axis)), default=0.0)
+    old, new = (
+        np.sqrt([wrench_score(held, left, centred).mean() for centred in (False, True)])
+        for left in (before, after(fitted, model))
+    )
+    return bool(worst > np.max(old / np.maximum(new, 1e-300)))
