@@ -258,7 +258,7 @@ def test_a_vehicle_that_shakes_about_two_axes_shows_no_fault_about_the_third():
     assert np.abs(weak.columns[:, :3, 0].mean(axis=0)).max() < 2e-3
 
 
-@pytest.mark.parametrize("noise", [0.05, 1.0])
+@pytest.mark.parametrize("noise", [0.05, 0.3, 1.0])
 @pytest.mark.parametrize("capture", [1e-4, 1e-3])
 def test_noise_of_either_source_makes_no_cause(noise, capture):
     """A column that holds the residual's noise would give a scale above 1 by noise over signal power."""
