@@ -168,12 +168,14 @@ class JointFit:
             "Mz": (flight.targets["Mz"], np.stack([-mid @ spin, c["r"], faster], axis=1)),
         }
 
-    def whitened(self, x: np.ndarray) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+    def whitened(self, x: np.ndarray, axes: Sequence[str] = JOINT_AXES) -> dict[str, tuple[np.ndarray, np.ndarray]]:
         """{axis: (target, columns)} of all compared rows; moments through the inverse of the disturbance model, about
         the means of each flight. Vertical force is compared as it is: its signal is slow, and so is its feedback."""
-        found: dict[str, list] = {axis: [] for axis in JOINT_AXES}
+        found: dict[str, list] = {axis: [] for axis in axes}
         for flight in self.flights:
-            for axis, (target, columns) in self.equations(flight, x).items():
+            equations = self.equations(flight, x)
+            for axis in axes:
+                target, columns = equations[axis]
                 both = np.column_stack([target, columns])
                 if axis != "Fz":
                     both = lfilter(np.concatenate([[1.0], -self.colour[axis]]), [1.0], both, axis=0)
@@ -181,16 +183,18 @@ class JointFit:
                 found[axis].append(both - both.mean(axis=0))
         return {axis: ((b := np.concatenate(parts))[:, 0], b[:, 1:]) for axis, parts in found.items()}
 
-    def solve(self, x: np.ndarray) -> dict[str, tuple[np.ndarray, np.ndarray, np.ndarray]]:
+    def solve(
+        self, x: np.ndarray, axes: Sequence[str] = JOINT_AXES
+    ) -> dict[str, tuple[np.ndarray, np.ndarray, np.ndarray]]:
         """{axis: (coefficients, their covariance up to the variance, residual)}."""
         found = {}
-        for axis, (target, columns) in self.whitened(x).items():
+        for axis, (target, columns) in self.whitened(x, axes).items():
             size = np.linalg.norm(columns, axis=0)
             size = np.where(size > 0, size, 1.0)
-            normal = (columns / size).T @ (columns / size) + 1e-12 * np.eye(len(size))
-            inverse = np.linalg.inv(normal)
-            theta = inverse @ ((columns / size).T @ target)
-            found[axis] = theta / size, inverse / np.outer(size, size), target - (columns / size) @ theta
+            scaled = columns / size
+            inverse = np.linalg.inv(scaled.T @ scaled + 1e-12 * np.eye(len(size)))
+            theta = inverse @ (scaled.T @ target)
+            found[axis] = theta / size, inverse / np.outer(size, size), target - scaled @ theta
         return found
 
     def run(self, begin: "JointFit | None" = None) -> None:
@@ -232,10 +236,11 @@ class JointFit:
 
         Flights are not weighed by their noise: quiet ones have the smallest residuals, but the strongest feedback.
         """
+        equations = [self.equations(flight, self.x) for flight in self.flights]
         for axis in JOINT_AXES:
             past, now = [], []
-            for flight in self.flights:
-                target, columns = self.equations(flight, self.x)[axis]
+            for flight, known in zip(self.flights, equations):
+                target, columns = known[axis]
                 left = target - columns @ solved[axis][0]
                 left = left - left[flight.rows].mean()
                 lags = np.stack(

@@ -28,19 +28,19 @@ def fit_yaw(fit: JointFit) -> dict[str, dict[str, Any]] | None:
         return np.concatenate([z, fit.x[2:]])
 
     def residual(z: np.ndarray) -> np.ndarray:
-        return yaw.solve(moved(z))["Mz"][2]
+        return yaw.solve(moved(z), ["Mz"])["Mz"][2]
 
     z = fit.x[:2]
     for _ in range(DISTURBANCE_ROUNDS):
         z = least_squares(residual, z, bounds=(low, high), x_scale=size, diff_step=1e-2, max_nfev=15).x
         yaw.update_noise(yaw.solve(moved(z)))
-    theta, inverse, left = yaw.solve(moved(z))["Mz"]
+    theta, inverse, left = yaw.solve(moved(z), ["Mz"])["Mz"]
     variance = float(np.mean(left**2))
     gain = float(np.sum(residual(fit.x[:2]) ** 2) / variance) - len(left)
     if gain < len(z) * np.log(len(left)) or np.any(z < low + 0.01 * size) or np.any(z > high - 0.01 * size):
         return None
     steps = 1e-2 * size
-    ends = [[yaw.solve(moved(z + sign * step * (np.arange(2) == k)))["Mz"] for sign in (1, -1)]
+    ends = [[yaw.solve(moved(z + sign * step * (np.arange(2) == k)), ["Mz"])["Mz"] for sign in (1, -1)]
             for k, step in enumerate(steps)]  # fmt: skip
     jacobian = np.stack([(a[2] - b[2]) / (2 * h) for (a, b), h in zip(ends, steps)], axis=1) * size
     normal = jacobian.T @ jacobian

@@ -156,8 +156,9 @@ def delayed(values: np.ndarray, dt: float, delay: float) -> np.ndarray:
         1: -(x + 1.0) * x * (x - 2.0) / 2.0,
         2: (x + 1.0) * x * (x - 1.0) / 6.0,
     }
-    at = np.arange(len(values)) - whole
-    return sum(w * values[np.clip(at - k, 0, len(values) - 1)] for k, w in weights.items())
+    count = len(values)
+    held = values[np.clip(np.arange(-2, count + 1) - whole, 0, count - 1)]  # from two samples earlier to one later
+    return sum(w * held[2 - k : 2 - k + count] for k, w in weights.items())
 
 
 def steady_speeds(drive: Mapping[str, Any], commands: np.ndarray, volts: np.ndarray | None = None) -> np.ndarray:

@@ -1,6 +1,7 @@
 """Sensors: each fault planted by its own definition in an analytic motion, found under its name with its size."""
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pandas as pd
@@ -26,6 +27,13 @@ RATE, CAPTURED, SECONDS = 500.0, 120.0, 24.0
 ARM = np.array([0.0, -0.01, -0.048])
 FRAME = Airframe("Made", 0.43, np.eye(3) * 1e-3, 0.04, 0.08, np.zeros((4, 3)), np.ones(4), marker_offset=ARM)
 TRUTH = {seed: body(SECONDS + 1.0, 1000.0, seed) for seed in (1, 2, 3)}
+SEEN = np.arange(0.2, SECONDS + 0.1, 1.0 / CAPTURED)  # s, capture times on its own clock
+
+
+@cache
+def pose(seed, late=0.0):
+    """Place and attitude of a body at the times of the capture, or that much earlier."""
+    return at_times(TRUTH[seed], SEEN - late)
 
 
 def flown(seed, compared=True, removed=0.0, onboard_gain=None, **fault):
@@ -52,11 +60,9 @@ def flown(seed, compared=True, removed=0.0, onboard_gain=None, **fault):
     folded = sosfiltfilt(butter(4, 8.0, fs=RATE, output="sos"), folded, axis=0)
     gyro = gyro + fault.get("folded", 0.0) * folded / folded.std(axis=0)
     force = at(force) + noise * rng.standard_normal((len(t), 3))
-    # capture times on its own clock, and where import puts them on the on-board one when it takes `removed` off
-    seen = np.arange(0.2, SECONDS + 0.1, 1.0 / CAPTURED)
-    there = seen * (1.0 + removed)
-    place, turned = at_times(truth, seen)
-    late = at_times(truth, seen - fault.get("rotation_late", 0.0))[1]
+    seen, there = SEEN, SEEN * (1.0 + removed)  # where import puts them on the on-board clock, with `removed` off
+    place, turned = pose(seed)
+    late = pose(seed, fault.get("rotation_late", 0.0))[1]
     turned, late = (Rotation.from_quat(q, scalar_first=True) for q in (turned, late))
     room = Rotation.from_rotvec([*fault.get("room", (0, 0)), 0.0])
     marked = late * Rotation.from_rotvec(fault.get("markers", (0, 0, 0)))
@@ -266,7 +272,7 @@ def test_noise_of_either_source_makes_no_cause(noise, capture):
             assert (np.abs(test.value) < 4.0 * test.std).all(), (cause, since, test.value, test.std)
 
 
-@pytest.mark.parametrize("noise", [0.05, 1.0, 3.0])
+@pytest.mark.parametrize("noise", [0.05, 3.0])
 def test_noise_of_the_accelerometer_does_not_shorten_a_delay(noise):
     """The slope of a noisy signal is mostly noise: a delay that is estimated with it would be too small."""
     delays = []

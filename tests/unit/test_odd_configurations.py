@@ -1,6 +1,7 @@
 """No configuration ends in a traceback: documents and logbook rows with odd values give a result or one sentence."""
 
 import csv
+import functools
 import io
 import json
 import shutil
@@ -77,6 +78,12 @@ def changed(document, data):
     return document
 
 
+@functools.cache
+def quadrotor_of(campaign):
+    """The quadrotor of a campaign's text: most documents leave the campaign as it is, and a flight at rest is slow."""
+    return quadrotor_configuration(read_campaign(json.loads(campaign), "example"))
+
+
 def questions(root):
     """All that rules and jobs ask of a folder's configuration, each as a function without arguments."""
     folder = Folder(root)
@@ -100,7 +107,7 @@ def questions(root):
         for ask in (folder.recordings.importing, folder.recordings.filtering)
     ]
 
-    yield lambda: quadrotor_configuration(read_campaign(folder.configuration.campaign("example"), "example"))
+    yield lambda: quadrotor_of(json.dumps(folder.configuration.campaign("example")))
     for axis in ("Fx", "Mz"):
         yield lambda axis=axis: read_specification(jobs.specification("example")[1], axis, POOL)
 

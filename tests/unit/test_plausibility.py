@@ -1,5 +1,6 @@
 """A contradiction that is planted in a sound flight makes it unusable and is named with both sources."""
 
+import copy
 import gzip
 from pathlib import Path
 
@@ -65,13 +66,19 @@ PLANTS = {
 }
 
 
+READ = {}  # recordings by their log and what else they were read with, each read once
+
+
 def planted(monkeypatch, plant, attitude_in):
     """Let the import read what it reads with a plant in it. attitude_in  series whose attitude is tilted"""
     change, where, _ = PLANTS[plant]
     read = importing.read_onboard
 
     def altered(*arguments):
-        recording = read(*arguments)
+        what = repr(arguments)
+        if what not in READ:
+            READ[what] = read(*arguments)
+        recording = copy.deepcopy(READ[what])
         series = recording.series
         names = {
             "capture": "capture",

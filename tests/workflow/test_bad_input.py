@@ -20,7 +20,8 @@ def test_missing_raw_file_fails_its_flight_and_the_others_go_on(project):
         rows.append({**rows[1], "Flight ID": "9", "Onboard Name": "lost", "Flight key": "lost"})
 
     project.edit_logbook(change)
-    targets = [f"results/filtered/MadeBeetle/withGravity/{f}.parquet" for f in ("lost", "small-4")]
+    targets = [f"results/filtered/MadeBeetle/withGravity/{f}.parquet" for f in ("lost", "small-1")]
+    (project.folder / targets[1]).unlink()
     code, text = project.snakemake("-j2", "--keep-going", *targets)
     assert code != 0
     assert "row 6, flight lost: raw file results/synthesis/small/onboard/lost" in last_line(text)

@@ -120,6 +120,7 @@ class Outlook:
         self.freedom = max(count - (2 if self.since == "changed" else 1), 1) + freedom
         alone = [f.stretches[:, :size, :size] for f in self.flights]  # how many residuals follow depends on the flight
         self._whole = MixedModel(alone, [True] * len(self.flights), columns)
+        self._kept: tuple[tuple[Candidate, Spread] | None, list[tuple[np.ndarray, float]]] = None, []
 
     def absorbed(self, cause: str) -> bool:
         """Whether the model's own terms take the cause up, so that without reference flights nothing is left of it."""
@@ -232,8 +233,20 @@ class Outlook:
         """Covariance (m, m) of the parameters with another cause, at a spread that is known."""
         return self._solve(offer, spread, given)[1]
 
+    def _remainders(self, offer: Candidate, assumed: Spread, alike: np.ndarray) -> list[tuple[np.ndarray, float]]:
+        """Each flight's `_left`. No other cause enters it: it is kept for all rivals, which are looked at in turn."""
+        if self._kept[0] != (offer, assumed):
+            own, found = [self.columns.causes[offer.cause][k] for k in offer.which], []
+            for flight in self.flights:
+                precision = np.broadcast_to(alike, (len(flight.stretches), *alike.shape))
+                if assumed.informed:
+                    precision = flight.stretches[:, own][:, :, own] + FAINT * alike
+                found.append(_left(flight.stretches, own, precision / assumed.tau**2, self.columns))
+            self._kept = (offer, assumed), found
+        return self._kept[1]
+
     def _solve(self, offer: Candidate, assumed: Spread, given: Candidate | None) -> tuple[float, np.ndarray]:
-        """-2 log likelihood, averaged over the residuals, and covariance."""
+        """-2 log likelihood, averaged over the residuals, and covariance; with a given cause the covariance alone."""
         columns = self.columns
         own = [columns.causes[offer.cause][k] for k in offer.which]
         others = [] if given is None else [columns.causes[given.cause][k] for k in given.which]
@@ -245,13 +258,9 @@ class Outlook:
         typical = sum(f.count * self._whole.grams[k][own, own] for k, f in enumerate(self.flights))
         alike = np.diag(np.maximum(typical / count, EMPTY_COLUMN**2))
         # those that all flights have, then what is offered to the compared ones alone
-        source, head, wide = [*common, *others, *own], self.draws, len(common)
+        source, head, wide = [*common, *others, *own], self.draws if given is None else 0, len(common)
         total, logs = np.zeros((head + len(source),) * 2), 0.0
-        for flight in self.flights:
-            precision = np.broadcast_to(alike, (len(flight.stretches), *alike.shape))
-            if assumed.informed:
-                precision = flight.stretches[:, own][:, :, own] + FAINT * alike
-            gram, log = _left(flight.stretches, own, precision / assumed.tau**2, columns)
+        for flight, (gram, log) in zip(self.flights, self._remainders(offer, assumed, alike)):
             logs += flight.count * log
             total[head:, head:] += flight.compared * gram[np.ix_(source, source)]
             total[head : head + wide, head : head + wide] += flight.reference * gram[np.ix_(common, common)]
