@@ -11,7 +11,7 @@ from quasi.importing.series import Series, Track
 
 # rad, range of the angle that the gyro turns by within a window, without the mean rate: beyond last digits and a bias
 LEAST_TURN = np.radians(2.0)
-WINDOW = 2.0 * SHORTEST_FREEZE  # s; integrated noise and drift stay far below the least turn within it
+TURN_WINDOW = 2.0 * SHORTEST_FREEZE  # s; integrated noise and drift stay far below the least turn within it
 
 
 def remove_frozen_poses(
@@ -49,7 +49,8 @@ def remove_frozen_poses(
         notes,
         f"{where}: the capture keeps one pose to the last digit in {np.count_nonzero(frozen)} frames, first from "
         f"{capture.t[np.argmax(frozen)]:.2f} s of its own time, while the gyro turns by {np.degrees(largest):.0f} deg "
-        f"within {WINDOW:g} s: tracking was lost there and the frames count as not seen; export lost frames as empty cells",
+        f"within {TURN_WINDOW:g} s: tracking was lost there and the frames count as not "
+        "seen; export lost frames as empty cells",
     )
     return Series(capture.t, {n: np.where(frozen, np.nan, column) for n, column in capture.values.items()})
 
@@ -57,8 +58,8 @@ def remove_frozen_poses(
 def _largest_turn(t: np.ndarray, rates: np.ndarray, begin: float, end: float) -> float:
     """Largest range of an angle, rad, within a window between begin and end, s, from rates (n, 3) less their mean."""
     largest = 0.0
-    for start in np.arange(begin, end, WINDOW):
-        inside = slice(*np.searchsorted(t, [start, min(start + WINDOW, end)]))
+    for start in np.arange(begin, end, TURN_WINDOW):
+        inside = slice(*np.searchsorted(t, [start, min(start + TURN_WINDOW, end)]))
         if len(t[inside]) > 1:
             rate = rates[inside] - rates[inside].mean(axis=0)
             angle = np.cumsum(rate[1:] * np.diff(t[inside])[:, None], axis=0)
