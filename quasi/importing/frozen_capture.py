@@ -10,7 +10,7 @@ from quasi.importing.clocks.synchronisation import Synchronisation
 from quasi.importing.series import Series, Track
 
 # rad, range of the angle that the gyro turns by within a window, without the mean rate: beyond last digits and a bias
-LEAST_TURN = np.radians(2.0)
+FELT_TURN = np.radians(2.0)
 TURN_WINDOW = 2.0 * SHORTEST_FREEZE  # s; integrated noise and drift stay far below the least turn within it
 
 
@@ -40,7 +40,7 @@ def remove_frozen_poses(
         if there[b - 1] - there[a] < SHORTEST_FREEZE:
             continue
         turned = _largest_turn(t, rates, there[a], there[b - 1])
-        if turned > LEAST_TURN:
+        if turned > FELT_TURN:
             frozen[a + 1 : b] = True
             largest = max(largest, turned)
     if not frozen.any():
