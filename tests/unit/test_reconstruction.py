@@ -17,10 +17,12 @@ from quasi.importing.captured_sensors import Captured
 from quasi.importing.derivatives import derivative_error
 from quasi.importing.flight import import_flight
 from quasi.importing.inspection import inspect_flight
+from quasi.importing.onboard_log import HELD_HEADING
 from quasi.importing.readers.table_mapping import read_mapping
 from quasi.importing.reconstruction import complete_sensors, thrust_angles
 from quasi.importing.resampling import low_pass, velocity
 from quasi.importing.series import Series, Track
+from quasi.project.flights import IMPORTING
 from quasi.tables import read_json
 
 CRAZYPAD = SHARED.parent / "crazypad"
@@ -309,6 +311,10 @@ def test_a_heading_that_was_held_stands_in_for_a_yaw_that_is_not_logged(heading)
     assert np.abs(np.degrees(frame["yaw"].to_numpy()) - heading).max() < 0.05
     assert any("held heading" in sentence for sentence in cautions(about["notes"]))
     assert about["reconstructed"]["attitude"]["angles"] == ["pitch"]
+
+
+def test_the_import_stage_reads_the_held_heading():
+    assert HELD_HEADING in IMPORTING
 
 
 def test_a_logged_yaw_comes_before_a_held_heading():
