@@ -107,7 +107,8 @@ def _with_held_heading(recording: Recording, quadrotor: Mapping[str, Any], where
     notes = list(recording.notes)
     add_caution(notes, f"{where}: the log holds no yaw; it was taken as {heading:g} deg all through, by the quadrotor "
                        f"configuration's '{HELD_HEADING}'")  # fmt: skip
-    return replace(recording, series=recording.series | added, notes=notes)
+    about = {**recording.metadata, HELD_HEADING: heading}
+    return replace(recording, series=recording.series | added, metadata=about, notes=notes)
 
 
 def _find(series: Mapping[str, Series], names: tuple[str, ...]) -> Track | None:
