@@ -112,3 +112,20 @@ def test_a_tie_that_has_gone_explains_nothing_any_more(monkeypatch, stands):
     )  # fmt: skip
     verdict.errors_beyond_references(case, settled, found)
     assert taken == ([first] if stands else [])
+
+
+@pytest.mark.parametrize(
+    ("since", "channel", "restless", "also"),
+    [
+        ("always", "My", [], ["Fy"]),
+        ("always", "Fy", [], []),
+        ("changed", "My", [], []),
+        ("always", "My", ["gusts"], []),
+    ],
+)
+def test_what_all_flights_show_does_not_hide_a_change_on_another_axis(monkeypatch, since, channel, restless, also):
+    beyond = {"channel": "Fy", "where": UNPLACED, "since": "changed"}
+    monkeypatch.setattr(verdict, "errors_beyond_references", lambda *given: [beyond])
+    entry = {"channel": channel, "where": "downward speed", "since": since}
+    found = verdict.with_errors_beyond_references([entry], restless, None, None, None)
+    assert [e["channel"] for e in found] == [channel, *also]
