@@ -2,7 +2,8 @@
 
 Functions of a place and peaks in time find what a single place orders. An effect of two places at once, or one that no
 column knows, still leaves larger errors than the flights before it had. Each flight is one observation: rows of a
-flight are not independent, and how much flights differ is seen between them.
+flight are not independent, and how much flights differ is seen between them. All flights may show the effect, or those
+with the manoeuvre that it takes: the mean is tested, and so is each flight by itself, of which two have to show it.
 """
 
 from collections.abc import Callable, Sequence
@@ -12,7 +13,7 @@ import numpy as np
 
 from quasi.gap.flights.covariates import UNPLACED
 from quasi.gap.flights.evidence import Evidence
-from quasi.gap.statistics.log_ratio import larger
+from quasi.gap.statistics.log_ratio import larger, two_larger
 from quasi.model.model import AXES
 
 LEAST_FLIGHTS = 2  # of either kind, for a spread between flights
@@ -40,8 +41,12 @@ def left_beyond_references(
     for k, axis in enumerate(AXES):
         if any(k in f.excluded for f in (*references, *others)) or min(e[:, k].min() for e in (*errors, *effort)) <= 0:
             continue
-        gain, p = larger(errors[0][:, k], errors[1][:, k])
-        _, by_effort = larger(errors[0][:, k] / effort[0][:, k], errors[1][:, k] / effort[1][:, k])
+        of_errors = [e[:, k] for e in errors]
+        shares = [e[:, k] / f[:, k] for e, f in zip(errors, effort)]
+        gain, in_mean = larger(*of_errors)
+        tests = [(in_mean, larger(*shares)[1]), (two_larger(*of_errors), two_larger(*shares))]
+        p, by_effort = min(tests)
+        p = min(1.0, len(tests) * p)
         if p < rate / len(AXES) and by_effort < BY_EFFORT:
             size = np.sqrt(max(errors[0][:, k].mean() - errors[1][:, k].mean(), 0.0))
             entries.append({
