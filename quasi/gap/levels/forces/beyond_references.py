@@ -31,7 +31,8 @@ def left_beyond_references(
     the other ones where they made it; of the extended model (ties taken into account) in the others
     rate        family-wise false alarm rate over the six channels
     Errors about each flight's mean are compared: constant forces are the business of the trim. Flights that were flown
-    harder have larger errors of any model: as a share of what was measured they must be larger as well.
+    harder than the reference flights have larger errors of any model: scaled down in proportion they must be larger as
+    well. Errors of flights that were flown more gently are not scaled up: part of them is noise.
     """
     if min(len(references), len(others)) < LEAST_FLIGHTS:
         return []
@@ -41,10 +42,10 @@ def left_beyond_references(
     for k, axis in enumerate(AXES):
         if any(k in f.excluded for f in (*references, *others)) or min(e[:, k].min() for e in (*errors, *effort)) <= 0:
             continue
-        of_errors = [e[:, k] for e in errors]
-        shares = [e[:, k] / f[:, k] for e, f in zip(errors, effort)]
-        gain, in_mean = larger(*of_errors)
-        tests = [(in_mean, larger(*shares)[1]), (two_larger(*of_errors), two_larger(*shares))]
+        now, usual = (e[:, k] for e in errors)
+        harder = np.maximum(effort[0][:, k] / np.exp(np.log(effort[1][:, k]).mean()), 1.0)
+        gain, in_mean = larger(now, usual)
+        tests = [(in_mean, larger(now / harder, usual)[1]), (two_larger(now, usual), two_larger(now / harder, usual))]
         p, by_effort = min(tests)
         p = min(1.0, len(tests) * p)
         if p < rate / len(AXES) and by_effort < BY_EFFORT:
