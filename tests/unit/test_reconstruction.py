@@ -294,6 +294,33 @@ def test_a_real_flight_without_pitch_gyro_and_accelerometer():
 
 
 @pytest.mark.skipif(not (SHARED.parent / "nanodrone").is_dir(), reason="the nano-drone recordings are absent")
+@pytest.mark.parametrize("heading", [None, 10.0])
+def test_a_heading_that_was_held_stands_in_for_a_yaw_that_is_not_logged(heading):
+    log = CRAZYPAD / "cut_propeller_M3_3mm" / "E8_log01"
+    if not log.exists():
+        pytest.skip(f"{log} is not there")
+    flight = {"flight": "cut", "quadrotor": "E8", "flight controller": "crazyflie", "onboard": str(log)}
+    quadrotor = {} if heading is None else {"held heading": heading}
+    if heading is None:
+        with pytest.raises(DataError, match="'held heading'"):
+            import_flight(flight, quadrotor, {})
+        return
+    frame, about = import_flight(flight, quadrotor, {})
+    assert np.abs(np.degrees(frame["yaw"].to_numpy()) - heading).max() < 0.05
+    assert any("held heading" in sentence for sentence in cautions(about["notes"]))
+    assert about["reconstructed"]["attitude"]["angles"] == ["pitch"]
+
+
+def test_a_logged_yaw_comes_before_a_held_heading():
+    log = CRAZYPAD / "normal_flight" / "E8_log00"
+    if not log.exists():
+        pytest.skip(f"{log} is not there")
+    flight = {"flight": "n", "quadrotor": "E8", "flight controller": "crazyflie", "onboard": str(log)}
+    frame, about = import_flight(flight, {"held heading": 90.0}, {})
+    assert abs(np.degrees(frame["yaw"])).median() < 20.0
+    assert not any("held heading" in sentence for sentence in about["notes"])
+
+
 def test_what_is_made_of_a_real_estimate_agrees_with_the_sensors_that_were_left_out():
     config = read_json(Path(__file__).parents[2] / "examples/nanodrone/config/NanoDroneConfig.json")
     flight = {"flight": "a", "quadrotor": "N", "flight controller": "table", "rigid body": "", "log number": None,
