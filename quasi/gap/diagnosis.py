@@ -55,7 +55,7 @@ from quasi.gap.probability import add_probabilities
 from quasi.gap.report.wording import summary
 from quasi.gap.scores import scored
 from quasi.gap.selection import SUSPECT
-from quasi.gap.verdict import errors_beyond_references, judge_causes, refused_changes
+from quasi.gap.verdict import judge_causes, refused_changes, with_errors_beyond_references
 from quasi.model.extensions import configured_mass
 from quasi.model.model import AXES, Model
 
@@ -185,8 +185,7 @@ def diagnose(
         lists["unexplained"], lives, *_ = remains
         if not any(u["channel"][0] == "F" for u in lists["unexplained"]):
             restless = gusts(found.study, compared, [c.effect.id for c in kept])
-        if not lists["unexplained"] and not restless:
-            lists["unexplained"] += errors_beyond_references(case, settled, found)
+        lists["unexplained"] = with_errors_beyond_references(lists["unexplained"], restless, case, settled, found)
         if not (lists["unexplained"] or restless or kept or found.ties):
             lists["unexplained"] += refused_changes(case, found)
     lower_effects = [lower_effect(e, level, gap) for level in ("sensors", "drive") for e in levels[level]["effects"]]

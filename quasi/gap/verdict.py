@@ -373,9 +373,10 @@ def _fainter_than_unknown(case: Case, settled: Settled, found: Found, left: unex
 def _unknown(case: Case, settled: Settled, found: Found, left: unexplained.Left) -> Sequence[Mapping[str, Any]]:
     """Entries of "unexplained": what a place or time orders, else what is left beyond the reference flights, where no
     restless air makes it, which is a finding of its own."""
-    if left.entries or gusts(found.study, case.compared, [c.effect.id for c in settled.causes]):
+    if any(entry["since"] == "changed" for entry in left.entries):
         return left.entries
-    return errors_beyond_references(case, settled, found)
+    restless = gusts(found.study, case.compared, [c.effect.id for c in settled.causes])
+    return with_errors_beyond_references(left.entries, restless, case, settled, found)
 
 
 def drowned(own: np.ndarray, usual: np.ndarray, unknown: np.ndarray) -> bool:
@@ -392,6 +393,17 @@ def _power(cause: Cause, case: Case) -> tuple[np.ndarray, np.ndarray]:
     made = [f.heard(whole_of(cause.effect, f, case.vehicle, cause.value)) for f in flights]
     errors = [f.heard(f.residual) for f in flights]
     return tuple(np.mean([np.var(v, axis=0) for v in of], axis=0) for of in (made, errors))
+
+
+def with_errors_beyond_references(
+    entries: Sequence[Mapping[str, Any]], restless: Sequence[Any], case: Case, settled: Settled, found: Found
+) -> list[Mapping[str, Any]]:
+    """Entries of "unexplained", and what the compared flights leave on other axes beyond the reference flights, where
+    no entry is a change: what all flights show is no reason to overlook one. restless  findings of gusts"""
+    if restless or any(entry["since"] == "changed" for entry in entries):
+        return list(entries)
+    seen = {entry["channel"] for entry in entries}
+    return [*entries, *(e for e in errors_beyond_references(case, settled, found) if e["channel"] not in seen)]
 
 
 def errors_beyond_references(case: Case, settled: Settled, found: Found) -> list[dict[str, Any]]:

@@ -21,9 +21,9 @@ def verdict(frame: pd.DataFrame, board: Onboard, metadata: Mapping[str, Any]) ->
     valid = float(frame["onboard_valid"].mean())
     duration = float(frame["t"].iloc[-1])
     if valid < 0.5:
-        bad.append(f"the on-board log covers only {100 * valid:.0f} % of the flight")
+        bad.append(f"the on-board log covers only {100 * valid:.0f} % of the flight{made_too(board.made)}")
     elif valid < 0.98:
-        care.append(f"the on-board log lost {100 * (1 - valid):.1f} % of the flight")
+        care.append(f"the on-board log lost {100 * (1 - valid):.1f} % of the flight{made_too(board.made)}")
     bad += doubtful_units(board.gyro.values, board.force.values)
     care += limits.describe_clipping(metadata["saturation"])
     if duration < 2.0:
@@ -60,3 +60,9 @@ def verdict(frame: pd.DataFrame, board: Onboard, metadata: Mapping[str, Any]) ->
     if care:
         return {"verdict": "usable with care", "verdict because": "; ".join(care)}
     return {"verdict": "good", "verdict because": "all sources are complete and agree"}
+
+
+def made_too(made: Mapping[str, Mapping[str, Any]]) -> str:
+    """What counts as lost as well, where sensors are made of other signals; nothing where all are logged."""
+    parts = [f"the {name} made from {how['from']}" for name, how in made.items() if how.get("from")]
+    return f", rows without {' and '.join(parts)} included" if parts else ""

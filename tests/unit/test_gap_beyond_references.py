@@ -11,7 +11,7 @@ from quasi.gap.levels.forces.beyond_references import left_beyond_references
 from quasi.gap.report.next_steps import _visit
 from quasi.gap.report.wording import left_sentence
 from quasi.gap.statistics.candidates import Candidate
-from quasi.gap.statistics.log_ratio import larger
+from quasi.gap.statistics.log_ratio import larger, two_larger
 
 ROWS, RATE = 500, 0.5 * 0.01 / 4
 
@@ -50,6 +50,25 @@ def test_a_force_in_layers_is_found_in_its_channel_with_its_size():
     times = entry["evidence"]["times the reference flights"]
     assert f"beyond what the reference flights leave ({times:.1f} times as much)" in left_sentence(entry)
     assert "another height" in _visit(entry)
+
+
+@pytest.mark.parametrize(("showing", "axes"), [(2, ["Fz"]), (1, [])])
+def test_an_effect_that_two_of_four_flights_have_the_manoeuvre_for_is_found(showing, axes):
+    """A side force by yaw rate and speed at once, in laps alone, had spread the errors so that their mean was open; so
+    had shares of what was flown, where steps move less than laps and errors are mostly noise."""
+    flights = [layered(10 + k, 0.5 if k < showing else 0.0) for k in range(4)]
+    references = [flight(k, effort=(0.2, 1.0)[k % 2]) for k in range(6)]
+    assert [e["channel"] for e in entries(references, flights)] == axes
+
+
+def test_two_flights_beyond_the_prediction_of_the_earlier_ones():
+    before = np.exp([-0.1, 0.1, -0.1, 0.1])  # mean 0, standard deviation 0.1155 of the logarithm
+    second = 1.0 / (0.2 / np.sqrt(3.0) * np.sqrt(1.25))
+    # Student's distribution with 3 degrees of freedom, by its closed form (Abramowitz & Stegun 26.7.3)
+    angle = np.arctan(second / np.sqrt(3.0))
+    tail = 0.5 - (angle + np.sin(angle) * np.cos(angle)) / np.pi
+    assert two_larger(np.exp([3.0, 1.0, 0.0]), before) == pytest.approx(1.5 * tail, rel=1e-9)
+    assert two_larger(np.exp([3.0, 1.0]), before[:2]) == 1.0
 
 
 def test_smaller_errors_are_no_finding():
@@ -112,3 +131,20 @@ def test_a_tie_that_has_gone_explains_nothing_any_more(monkeypatch, stands):
     )  # fmt: skip
     verdict.errors_beyond_references(case, settled, found)
     assert taken == ([first] if stands else [])
+
+
+@pytest.mark.parametrize(
+    ("since", "channel", "restless", "also"),
+    [
+        ("always", "My", [], ["Fy"]),
+        ("always", "Fy", [], []),
+        ("changed", "My", [], []),
+        ("always", "My", ["gusts"], []),
+    ],
+)
+def test_what_all_flights_show_does_not_hide_a_change_on_another_axis(monkeypatch, since, channel, restless, also):
+    beyond = {"channel": "Fy", "where": UNPLACED, "since": "changed"}
+    monkeypatch.setattr(verdict, "errors_beyond_references", lambda *given: [beyond])
+    entry = {"channel": channel, "where": "downward speed", "since": since}
+    found = verdict.with_errors_beyond_references([entry], restless, None, None, None)
+    assert [e["channel"] for e in found] == [channel, *also]

@@ -262,3 +262,22 @@ def test_rotors_that_follow_slower_make_what_another_lag_makes_of_the_commands(g
     slope = columns_of(effect, evidence, vehicle, {"time_constant": 0.0})["time_constant"] * (lag - 0.026)
     assert np.std((slope - left)[settled, 2]) > np.std(rest[0][settled, 2])
     assert extended_map(extended.document)["time constant"]["value"] == pytest.approx(lag)
+
+
+@pytest.mark.parametrize(
+    ("name", "parameter", "size"), [("command_delay", "delay", 0.005), ("motor_lag", "time_constant", 0.02)]
+)
+def test_late_rotors_do_not_move_what_a_model_makes_of_their_speeds_across_them(ground, name, parameter, size):
+    """Pitch commands go with the speed that they make: a term of Fx in U_q, moved in time with rotors that were late by
+    15 ms, had left what a load that swings corrects."""
+    across = simple_model(ground.airframe, 2.4e-7, 3e-9, Fx={"U_q": 1e-7}, Fy={"U_p": 1e-7})
+    model = late_model(Model(across.document | {"rotor speeds": MAP}))
+    plain = evidence_of(model)
+    dots = np.random.default_rng(3).normal(0.0, 2000.0, (ROWS, 4))
+    columns = {**plain.columns, **{f"w{i + 1}_dot": dots[:, i] for i in range(4)}}
+    evidence, vehicle = dataclasses.replace(plain, columns=columns), vehicle_of(model, 0.433)
+    effect = with_estimated_speeds(catalogue(), model, [evidence])[0][name]
+    slope = columns_of(effect, evidence, vehicle, {parameter: 0.0})[parameter]
+    for made in (slope, whole_of(effect, evidence, vehicle, {parameter: size})):
+        assert not made[:, :2].any()
+        assert np.all(made[:, 2:].any(axis=0))

@@ -241,13 +241,15 @@ def test_a_name_or_tie_gives_way_to_something_clearer_on_its_axis_that_no_cause_
     """Rotors that drag at their hubs damp yaw; what a function of the rate left of that had been a tilted rotor."""
     named, first = shown_by("rotor_tilt", 1e-9, 5, apart=apart), shown_by("torque_factor", 1e-7, 5)
     tie = SimpleNamespace(tests=[first.test, shown_by("inertia", 1e-7, 5).test], apart=apart)
-    found = SimpleNamespace(ties=[("changed", tie)], stand_ins=[first], contradicted={})
+    found = SimpleNamespace(ties=[("changed", tie)], stand_ins=[first], contradicted={}, study=None)
+    monkeypatch.setattr(verdict, "gusts", lambda *given: [{"id": "gusts"}])
     confirmation = Confirmation(verdict.CONFIRMED, 1.0, 0.1, 5.0)
     settled = SimpleNamespace(causes=[named], confirmations={("rotor_tilt", "changed"): confirmation}, dropped=[])
     settled._replace = lambda **new: SimpleNamespace(**{**vars(settled), **new})
     monkeypatch.setattr(verdict, "_power", lambda c, case: (np.eye(6)[c.axis], np.ones(6)))
+    case = SimpleNamespace(compared=[])
     entry = {"channel": channel, "where": "yaw rate", "since": since, "evidence": {"p": p}, "size": 1.0}
-    result = verdict._fainter_than_unknown(None, settled, found, SimpleNamespace(entries=[entry]))
+    result = verdict._fainter_than_unknown(case, settled, found, SimpleNamespace(entries=[entry]))
     assert bool(result.causes) is bool(found.ties) is bool(found.stand_ins) is not gives_way
     if gives_way:
         why = f"{channel} differs along the yaw rate in a way that no cause explains, and more clearly (p = 1e-20)"

@@ -22,6 +22,7 @@ from quasi.importing.readers.table_mapping import read_mapping
 from quasi.importing.reconstruction import complete_sensors, thrust_angles
 from quasi.importing.resampling import low_pass, velocity
 from quasi.importing.series import Series, Track
+from quasi.importing.verdict import made_too
 from quasi.project.flights import IMPORTING
 from quasi.tables import read_json
 
@@ -350,3 +351,10 @@ def test_what_is_made_of_a_real_estimate_agrees_with_the_sensors_that_were_left_
     off = np.std([a - b for a, b in both], axis=1)
     stated = made_about["reconstructed"]["accelerometer"]["std"]["value"]
     assert np.all((0.4 * off < stated) & (stated < 2.5 * off))
+
+
+def test_what_is_lost_names_the_sensor_that_was_made_of_another_source():
+    """Frames that the capture lost had been "the on-board log lost 5.8 %" of a log without a gap."""
+    made = {"accelerometer": {"from": "the captured position and attitude"}}
+    assert made_too(made) == ", rows without the accelerometer made from the captured position and attitude included"
+    assert made_too({}) == ""

@@ -1,4 +1,4 @@
-"""Whether positive quantities of some flights are larger than those of others: Student's test of their logarithms."""
+"""Whether positive quantities of some flights are larger than those of others: Student's tests of their logarithms."""
 
 import numpy as np
 from scipy.stats import t as t_distribution
@@ -21,3 +21,20 @@ def larger(
     squares = sum(float(np.sum((g - g.mean()) ** 2)) for g in groups) + prior_flights * usual_spread**2
     std = np.sqrt(squares / freedom * (1.0 / len(now) + 1.0 / len(before)))
     return gain, float(t_distribution.sf(gain / std, freedom))
+
+
+def two_larger(now: np.ndarray, before: np.ndarray) -> float:
+    """P-value of two flights and more beyond what the flights before predict of one; 1 below three flights before.
+
+    now (n,), before (m,) positive. Each flight by itself is compared with the prediction interval of the earlier ones:
+    an effect that some manoeuvres alone show spreads the logarithms of the flights, and hides in a test of their mean.
+    Of n flights that need not be independent, two and more have p-values below a with a probability of at most n a / 2
+    (Markov's inequality). Source: Hahn & Meeker, Statistical Intervals, 1991, section 4.7 (prediction intervals).
+    """
+    freedom = len(before) - 1
+    if freedom < 2 or len(now) < 2:
+        return 1.0
+    usual = np.log(before)
+    beyond = (np.log(now) - usual.mean()) / max(usual.std(ddof=1) * np.sqrt(1.0 + 1.0 / len(before)), 1e-300)
+    second = float(np.sort(t_distribution.sf(beyond, freedom))[1])
+    return min(1.0, 0.5 * len(now) * second)

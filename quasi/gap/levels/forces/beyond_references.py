@@ -2,7 +2,8 @@
 
 Functions of a place and peaks in time find what a single place orders. An effect of two places at once, or one that no
 column knows, still leaves larger errors than the flights before it had. Each flight is one observation: rows of a
-flight are not independent, and how much flights differ is seen between them.
+flight are not independent, and how much flights differ is seen between them. All flights may show the effect, or those
+with the manoeuvre that it takes: the mean is tested, and so is each flight by itself, of which two have to show it.
 """
 
 from collections.abc import Callable, Sequence
@@ -12,7 +13,7 @@ import numpy as np
 
 from quasi.gap.flights.covariates import UNPLACED
 from quasi.gap.flights.evidence import Evidence
-from quasi.gap.statistics.log_ratio import larger
+from quasi.gap.statistics.log_ratio import larger, two_larger
 from quasi.model.model import AXES
 
 LEAST_FLIGHTS = 2  # of either kind, for a spread between flights
@@ -30,7 +31,8 @@ def left_beyond_references(
     the other ones where they made it; of the extended model (ties taken into account) in the others
     rate        family-wise false alarm rate over the six channels
     Errors about each flight's mean are compared: constant forces are the business of the trim. Flights that were flown
-    harder have larger errors of any model: as a share of what was measured they must be larger as well.
+    harder than the reference flights have larger errors of any model: scaled down in proportion they must be larger as
+    well. Errors of flights that were flown more gently are not scaled up: part of them is noise.
     """
     if min(len(references), len(others)) < LEAST_FLIGHTS:
         return []
@@ -40,8 +42,12 @@ def left_beyond_references(
     for k, axis in enumerate(AXES):
         if any(k in f.excluded for f in (*references, *others)) or min(e[:, k].min() for e in (*errors, *effort)) <= 0:
             continue
-        gain, p = larger(errors[0][:, k], errors[1][:, k])
-        _, by_effort = larger(errors[0][:, k] / effort[0][:, k], errors[1][:, k] / effort[1][:, k])
+        now, usual = (e[:, k] for e in errors)
+        harder = np.maximum(effort[0][:, k] / np.exp(np.log(effort[1][:, k]).mean()), 1.0)
+        gain, in_mean = larger(now, usual)
+        tests = [(in_mean, larger(now / harder, usual)[1]), (two_larger(now, usual), two_larger(now / harder, usual))]
+        p, by_effort = min(tests)
+        p = min(1.0, len(tests) * p)
         if p < rate / len(AXES) and by_effort < BY_EFFORT:
             size = np.sqrt(max(errors[0][:, k].mean() - errors[1][:, k].mean(), 0.0))
             entries.append({

@@ -23,7 +23,7 @@ from quasi.model.extensions import (
     correct_rotor_speeds,
     drive_of,
 )
-from quasi.model.model import Model
+from quasi.model.model import AXES, Model
 from quasi.terms.rotor_map import LOW_VOLTAGE, speed_exponent
 
 SAG, SCALE = "battery_sag", "rotor_speed_scale"
@@ -93,6 +93,9 @@ def late_of_forces(effect: Effect, model: Model, key: str, parameter: str, tied:
     A delay moves the estimated speeds in time, and the extension's negative delay of recorded speeds holds it where
     flights are compared. A lag makes them anew, see `correct_estimated_speeds`; it is looked for by the whole effect
     of some times the model's own, for commands that chatter are damped by it.
+    Only axes that rotors push along or turn about are asked. What a model makes of rotor speeds along the others stands
+    for the motion that the controller answers, and does not come later with the rotors: another cause, such as a load
+    that swings, would be needed to correct it.
     key  of the model's actuators; parameter  of the cause; tied  ids that look the same
     """
     about = effect.parameters[parameter]
@@ -108,8 +111,10 @@ def late_of_forces(effect: Effect, model: Model, key: str, parameter: str, tied:
         "absorbed_by_model": True,
     }
 
+    pushed = np.isin(AXES, common["channels"])
+
     def columns(evidence: Evidence, _: Values) -> dict[str, np.ndarray]:
-        return {parameter: -np.einsum("nij,nj->ni", evidence.gradient(*ROTORS), evidence.spin_up)}
+        return {parameter: pushed * np.einsum("nij,nj->ni", evidence.gradient(*ROTORS), -evidence.spin_up)}
 
     if is_delay:
 
@@ -121,9 +126,8 @@ def late_of_forces(effect: Effect, model: Model, key: str, parameter: str, tied:
     def full(evidence: Evidence, _: Vehicle, values: Values) -> np.ndarray:
         lag = max(own + values[parameter], LEAST_SHARE * own)
         turned = correct_estimated_speeds(evidence.columns, OfMap(before=own, after=lag))
-        return reread(evidence, {n: turned[n] for n in (*ROTORS, *(f"{w}_dot" for w in ROTORS))}).predicted - (
-            evidence.predicted
-        )
+        late = reread(evidence, {n: turned[n] for n in (*ROTORS, *(f"{w}_dot" for w in ROTORS))})
+        return pushed * (late.predicted - evidence.predicted)
 
     def slower(values: Values, _: Vehicle, __: Model) -> Extension:
         return Extension(actuators={"time constant": max(own + values[parameter], LEAST_SHARE * own)})
