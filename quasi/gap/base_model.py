@@ -8,21 +8,19 @@ import numpy as np
 import pandas as pd
 
 from quasi.attitude import GRAVITY
-from quasi.filtering.forces import half_length
 from quasi.gap.effect import Effect, Vehicle
 from quasi.gap.flights.evidence import Evidence
 from quasi.gap.levels.forces.case import Case
 from quasi.gap.levels.forces.design import gather_design, with_own_terms_anew
 from quasi.gap.levels.forces.error_reduction import after, before, wrench_score
 from quasi.gap.losses import losses
-from quasi.gap.statistics.whitening import stretches
+from quasi.gap.statistics.memory import lagged_products, lags_of_flight
 from quasi.importing.onboard_log import HELD_HEADING
 from quasi.model.model import AXES, Model
 
 NEAR_NOTHING = 0.1  # share of the variance: a model must explain it for an axis to count, unless errors remember less
 OF_ACCELEROMETER = frozenset({"ax", "ay", "az"})  # channels of sensors
 ROUNDING = 1e-9  # of the weight: a force that follows from an attitude made of it is no more than rounding
-MEMORY_S = 1.0  # s: what errors of a model that come from flight, and not from instruments, repeat within
 
 
 YAWING = "Mz"  # the axis of which a log without yaw shows nothing
@@ -82,20 +80,11 @@ def remembered_share(flights: Sequence[Evidence]) -> np.ndarray:
     than a quarter of MEMORY_S, and on an axis that measures nothing.
     """
     cutoffs = [(f.metadata.get("filters") or {}).get("low-pass cutoff Hz") for f in flights]
-    if not flights or None in cutoffs:
+    lags = lags_of_flight(cutoffs, 1.0 / np.median(np.diff(flights[0].t))) if flights else None
+    if lags is None:
         return np.ones(6)
-    rate = 1.0 / np.median(np.diff(flights[0].t))
-    mixed, memory = 2 * half_length(min(cutoffs), rate) + 1, round(MEMORY_S * rate)
-    if 4 * mixed > memory:
-        return np.ones(6)
-    products, variance = np.zeros((memory - mixed, 6)), np.zeros(6)
-    for flight in flights:
-        left = flight.residual - flight.residual.mean(axis=0)
-        variance += np.sum(left**2, axis=0)
-        for part in stretches(flight.breaks):
-            x = left[part]
-            for lag in range(mixed, memory):
-                products[lag - mixed] += np.sum(x[lag:] * x[: max(len(x) - lag, 0)], axis=0)
+    products = sum(lagged_products(f.residual, f.breaks, *lags) for f in flights)
+    variance = sum(len(f) * f.residual.var(axis=0) for f in flights)
     rows, weight = sum(map(len, flights)), flights[0].mass * GRAVITY
     measures = variance > rows * (ROUNDING * weight * np.repeat([1.0, flights[0].airframe.arm], 3)) ** 2
     return np.where(measures, np.max(np.abs(products), axis=0) / np.maximum(variance, 1e-300), 1.0)

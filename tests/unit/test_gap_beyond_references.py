@@ -12,6 +12,7 @@ from quasi.gap.report.next_steps import _visit
 from quasi.gap.report.wording import left_sentence
 from quasi.gap.statistics.candidates import Candidate
 from quasi.gap.statistics.log_ratio import larger, two_larger
+from quasi.model.model import AXES
 
 ROWS, RATE = 500, 0.5 * 0.01 / 4
 
@@ -21,7 +22,9 @@ def flight(seed, error=0.05, effort=1.0, offset=0.0, excluded=()):
     random = np.random.default_rng(seed)
     size = error * np.exp(0.1 * random.standard_normal())
     left = size * random.standard_normal((ROWS, 6)) + offset
-    return SimpleNamespace(left=left, measured=effort * random.standard_normal((ROWS, 6)), excluded=excluded)
+    measured = effort * random.standard_normal((ROWS, 6))
+    t, breaks = 0.01 * np.arange(ROWS), np.arange(ROWS) == 0
+    return SimpleNamespace(left=left, measured=measured, excluded=excluded, metadata={}, t=t, breaks=breaks)
 
 
 def entries(references, others, rate=RATE):
@@ -69,6 +72,18 @@ def test_two_flights_beyond_the_prediction_of_the_earlier_ones():
     tail = 0.5 - (angle + np.sin(angle) * np.cos(angle)) / np.pi
     assert two_larger(np.exp([3.0, 1.0, 0.0]), before) == pytest.approx(1.5 * tail, rel=1e-9)
     assert two_larger(np.exp([3.0, 1.0]), before[:2]) == 1.0
+
+
+@pytest.mark.parametrize(("logged", "axes"), [({"low-pass cutoff Hz": 40.0}, ["Fz"]), ({}, list(AXES))])
+def test_larger_noise_of_instruments_is_no_error_of_the_model(logged, axes):
+    """A log at a quarter of the rate folds vibration into its samples. Unknown filters leave noise and error alike."""
+    noisy = [flight(10 + k, error=0.1) for k in range(5)]
+    for one in noisy:
+        one.left[:, 2] += 0.2 * np.sign(np.sin(np.linspace(0.0, 40.0, ROWS)))
+    flights = [healthy(0, 4), noisy]
+    for one in sum(flights, []):
+        one.metadata = {"filters": logged}
+    assert [e["channel"] for e in entries(*flights)] == axes
 
 
 def test_smaller_errors_are_no_finding():

@@ -14,6 +14,7 @@ import numpy as np
 from quasi.gap.flights.covariates import UNPLACED
 from quasi.gap.flights.evidence import Evidence
 from quasi.gap.statistics.log_ratio import larger, two_larger
+from quasi.gap.statistics.memory import lagged_products, lags_of_flight
 from quasi.model.model import AXES
 
 LEAST_FLIGHTS = 2  # of either kind, for a spread between flights
@@ -30,7 +31,9 @@ def left_beyond_references(
     before, left  flight -> (n, 6) residual, N and N m, in body axes: of the base model in reference flights, fitted to
     the other ones where they made it; of the extended model (ties taken into account) in the others
     rate        family-wise false alarm rate over the six channels
-    Errors about each flight's mean are compared: constant forces are the business of the trim. Flights that were flown
+    Errors about each flight's mean are compared: constant forces are the business of the trim. Noise of instruments is
+    no error of the model, and may be larger in a log of another rate: where less than half of what the errors grew by
+    comes back within a second, that is what grew. Flights that were flown
     harder than the reference flights have larger errors of any model: scaled down in proportion they must be larger as
     well. Errors of flights that were flown more gently are not scaled up: part of them is noise.
     """
@@ -38,6 +41,7 @@ def left_beyond_references(
         return []
     errors = [np.array([_power(of(f)) for f in flights]) for of, flights in ((left, others), (before, references))]
     effort = [np.array([_power(f.measured) for f in flights]) for flights in (others, references)]
+    instruments = _is_noise([(f, left(f)) for f in others], [(f, before(f)) for f in references])
     entries = []
     for k, axis in enumerate(AXES):
         if any(k in f.excluded for f in (*references, *others)) or min(e[:, k].min() for e in (*errors, *effort)) <= 0:
@@ -48,7 +52,7 @@ def left_beyond_references(
         tests = [(in_mean, larger(now / harder, usual)[1]), (two_larger(now, usual), two_larger(now / harder, usual))]
         p, by_effort = min(tests)
         p = min(1.0, len(tests) * p)
-        if p < rate / len(AXES) and by_effort < BY_EFFORT:
+        if p < rate / len(AXES) and by_effort < BY_EFFORT and not instruments[k]:
             size = np.sqrt(max(errors[0][:, k].mean() - errors[1][:, k].mean(), 0.0))
             entries.append({
                 "channel": axis, "where": UNPLACED, "judged": True, "share": None, "size": float(size),
@@ -61,3 +65,25 @@ def left_beyond_references(
 def _power(values: np.ndarray) -> np.ndarray:
     """Mean square (6,) about the mean."""
     return np.var(values, axis=0)
+
+
+Errors = Sequence[tuple[Evidence, np.ndarray]]  # flights with what is left of them (n, 6)
+
+
+def _is_noise(others: Errors, references: Errors) -> np.ndarray:
+    """Whether less than half of what the errors (6,) grew by comes back within a second; no where that is unknown."""
+    flights = [f for f, _ in (*others, *references)]
+    cutoffs = [(f.metadata.get("filters") or {}).get("low-pass cutoff Hz") for f in flights]
+    rates = [1.0 / float(np.median(np.diff(f.t))) for f in flights]
+    lags = lags_of_flight(cutoffs, rates[0]) if max(rates) < 1.01 * min(rates) else None
+    if lags is None:
+        return np.zeros(len(AXES), bool)
+
+    def power(errors: Errors) -> tuple[np.ndarray, np.ndarray]:
+        """Of all, and of what comes back."""
+        rows = sum(len(e) for _, e in errors)
+        products = sum(lagged_products(e, f.breaks, *lags) for f, e in errors)
+        return sum(len(e) * _power(e) for _, e in errors) / rows, np.abs(products).max(axis=0) / rows
+
+    grown = [now - usual for now, usual in zip(power(others), power(references))]
+    return grown[1] < 0.5 * grown[0]
