@@ -1,5 +1,6 @@
 """Gather a finished diagnosis, its report, tables and figures into the folder that is handed over."""
 
+import re
 from pathlib import Path
 
 from quasi.running.job_log import hand_over, job, print_at_end
@@ -17,9 +18,9 @@ def main(files: list[str], folder: str) -> None:
     """Copy files and folders into the folder and print what was found."""
     target = hand_over(files, folder, name_in_folder)
     found = read_json(target / "diagnosis.json")
-    print_at_end(
-        f"{target.name}: {found['verdict']}. {found['summary']}\nMade {folder}; begin with {folder}/report.html"
-    )
+    sentences = re.split(r"(?<=\.) (?=[A-Z])", found["summary"])
+    lines = [f"Gap {target.name}: {found['verdict']}", *(f"  {sentence}" for sentence in sentences)]
+    print_at_end("\n".join([*lines, f"Made {folder}; begin with {folder}/report.html"]))
 
 
 if __name__ == "__main__":

@@ -1,6 +1,6 @@
 """Whether the compared model is worth a comparison: axes on which it explains nothing neither name nor judge causes."""
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -16,6 +16,7 @@ from quasi.gap.levels.forces.design import gather_design, with_own_terms_anew
 from quasi.gap.levels.forces.error_reduction import after, before, wrench_score
 from quasi.gap.losses import losses
 from quasi.gap.statistics.whitening import stretches
+from quasi.importing.onboard_log import HELD_HEADING
 from quasi.model.model import AXES, Model
 
 NEAR_NOTHING = 0.1  # share of the variance: a model must explain it for an axis to count, unless errors remember less
@@ -24,25 +25,45 @@ ROUNDING = 1e-9  # of the weight: a force that follows from an attitude made of 
 MEMORY_S = 1.0  # s: what errors of a model that come from flight, and not from instruments, repeat within
 
 
+YAWING = "Mz"  # the axis of which a log without yaw shows nothing
+
+
 class Worth(NamedTuple):
     """share {axis: explained share of the variance}; excluded  axes that do not count; wrong  what contradicts the
-    model as a whole (rotors that act elsewhere than configured), "" for nothing."""
+    model as a whole (rotors that act elsewhere than configured), "" for nothing; without_yaw  flights that log none, of
+    which the yawing moment is unknown."""
 
     share: Mapping[str, float]
     excluded: tuple[str, ...]
     wrong: str
+    without_yaw: tuple[str, ...] = ()
 
     def sentence(self) -> str:
         """The first sentence of a diagnosis, "" for a model that is worth a comparison."""
         if self.wrong:
             return f"The base model is unusable: {self.wrong}."
-        if not self.excluded:
-            return ""
-        shares = ", ".join(f"{a} {100 * self.share[a]:z.0f} %" for a in self.excluded)
-        return (
-            f"The base model explains next to nothing of {', '.join(self.excluded)} (share of the variance: {shares}); "
+        poor = [a for a in self.excluded if not (self.without_yaw and a == YAWING)]
+        shares = ", ".join(f"{a} {100 * self.share[a]:z.0f} %" for a in poor)
+        sentences = [
+            f"The base model explains next to nothing of {', '.join(poor)} (share of the variance: {shares}); "
             "these axes were not used."
-        )
+        ] if poor else []  # fmt: skip
+        if self.without_yaw:
+            sentences.append(
+                f"{YAWING} was not used: {', '.join(self.without_yaw)} log{'s' * (len(self.without_yaw) == 1)} no yaw."
+            )
+        return " ".join(sentences)
+
+    def of_measured(self, flights: Iterable[Evidence]) -> "Worth":
+        """The same without the yawing moment where some of the flights log no yaw: a held heading has no rate."""
+        silent = tuple(f.key for f in flights if _held_heading(f) is not None)
+        excluded = tuple(a for a in AXES if a in self.excluded or (silent and a == YAWING))
+        return self._replace(excluded=excluded, without_yaw=silent)
+
+
+def _held_heading(flight: Evidence) -> object:
+    about = flight.metadata.get("imported") or {}
+    return ((about.get("sources") or {}).get("onboard") or {}).get(HELD_HEADING)
 
 
 def explained_share(flights: Sequence[Evidence]) -> np.ndarray:

@@ -104,7 +104,7 @@ def diagnose(
     faked = faked_axes(calibration.get("causes", ()), effects) if own else ()
     loses = bool(faked) and refit_loses(model, by_role(evidence, roles), flights, vehicle, settings, faked)
     corrected = () if loses else faked
-    base = worth_after(model, by_role(evidence, roles)["reference"], corrected)
+    base = worth_after(model, by_role(evidence, roles)["reference"], corrected).of_measured(evidence.values())
     positions = tuple(AXES.index(a) for a in base.excluded)
     evidence = {k: replace(e, excluded=positions) for k, e in evidence.items()}
     groups = by_role(evidence, roles)
@@ -141,7 +141,7 @@ def diagnose(
     silent = {
         n for n, e in effects.items() if e.level == "forces" and e.channels and set(e.channels) <= set(base.excluded)
     }
-    why = f"the base model explains next to nothing of {', '.join(base.excluded)}"
+    why = f"all that it acts on is {', '.join(base.excluded)}, which were not used"
     lists["cannot_be_asked"] += [{"id": n, "why": why} for n in sorted(silent)] if not unable else []
     asked_of = {n: e for n, e in effects.items() if n not in silent}
     found, kept = None, []

@@ -236,7 +236,8 @@ def _as_plain(
     relative_map = _relative_error(fit)
     # the mean of each of the four rotors is taken off
     scatter = float(np.std(np.log(trims), ddof=4)) if len(keys) > 1 else None
-    total = float(np.hypot(relative_map, scatter or 0.0))
+    # another flight differs from the mean of these
+    total = float(np.hypot(relative_map, (scatter or 0.0) * np.sqrt(1.0 + 1.0 / len(keys))))
     arms = {
         axis: {"value": float(fit.coefficients[axis][0]), "std": float(fit.errors[axis][0])} for axis in JOINT_AXES[1:]
     }

@@ -160,7 +160,8 @@ def _as_plain(
         "relative error": {
             "map": fit["within"],
             "between flights": between,
-            "total": float(np.hypot(fit["within"], between or 0.0)),
+            # another flight differs from the mean of these
+            "total": float(np.hypot(fit["within"], (between or 0.0) * np.sqrt(1.0 + 1.0 / len(keys)))),
         },
         "scale": {"relative": False, "from": f"speeds measured in {', '.join(keys)}", "trimmed": False},
         "factors": None,

@@ -18,6 +18,7 @@ from quasi.importing.clocks.synchronisation import Motion, Synchronisation, sync
 from quasi.importing.command_map import add_commanded_speeds
 from quasi.importing.contradictions import refuse_wrong_lengths, refuse_wrong_rates
 from quasi.importing.cross_checks import cross_check
+from quasi.importing.frozen_capture import remove_frozen_poses
 from quasi.importing.imu_and_telemetry import lever_arm_term, remove_telemetry_age
 from quasi.importing.onboard_log import POSITION_COLUMNS, QUATERNION, Onboard, gather, read_onboard
 from quasi.importing.path_errors import SAME_CLOCK_LAG
@@ -86,6 +87,8 @@ def import_flight(
         if any(end.sensor == "gyro" for end in ends):
             raise DataError(f"{error}; the gyro was clipped at the end of its range, which may be why") from None
         raise
+    if capture is not None:
+        capture = remove_frozen_poses(capture, board.gyro, sync, where, notes)
     contradictory = cross_check(board, capture, sync)
     board, telemetry = remove_telemetry_age(board, where, notes)
     frame, facts = _fuse(board, capture, sync, quadrotor, chosen, where, notes)

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from quasi.airframe import read_poles
+from quasi.airframe import number, read_poles
 from quasi.attitude import interpolate
 from quasi.errors import DataError, add_caution
 from quasi.importing.captured_sensors import POSITION_COLUMNS, QUATERNION, Captured
@@ -26,6 +26,7 @@ from quasi.importing.series import Recording, Series, Track, interpolate_columns
 
 LEAST_LOG_EXPLAINED = 0.3  # share of the variance that a log of the same motion explains, a late one too
 LEAST_SAMPLES = 20
+HELD_HEADING = "held heading"  # deg, of the quadrotor configuration
 BANDWIDTH = 10.0  # Hz of made sensors, as of velocities from captured positions
 MADE_COLUMN = "reconstructed"
 RATES, FORCE = ("p", "q", "r"), ("ax", "ay", "az")
@@ -93,7 +94,21 @@ def read_onboard(flight: Mapping[str, Any], quadrotor: Mapping[str, Any]) -> Rec
         read_poles(quadrotor, str(flight["onboard"])),
         flight.get("log number"),
     )
-    return check_recording(read_log(request), str(request.path))
+    return check_recording(_with_held_heading(read_log(request), quadrotor, str(request.path)), str(request.path))
+
+
+def _with_held_heading(recording: Recording, quadrotor: Mapping[str, Any], where: str) -> Recording:
+    """The recording with the yaw that the configuration states for logs without one; as it is where one is logged."""
+    heading = number(quadrotor, HELD_HEADING, "quadrotor configuration")
+    onboard = {name: one for name, one in recording.series.items() if name.startswith("onboard")}
+    if heading is None or any("yaw" in one.values or "qw" in one.values for one in onboard.values()):
+        return recording
+    added = {n: Series(s.t, s.values | {"yaw": np.full(len(s.t), np.radians(heading))}) for n, s in onboard.items()}
+    notes = list(recording.notes)
+    add_caution(notes, f"{where}: the log holds no yaw; it was taken as {heading:g} deg all through, by the quadrotor "
+                       f"configuration's '{HELD_HEADING}'")  # fmt: skip
+    about = {**recording.metadata, HELD_HEADING: heading}
+    return replace(recording, series=recording.series | added, metadata=about, notes=notes)
 
 
 def _find(series: Mapping[str, Series], names: tuple[str, ...]) -> Track | None:

@@ -227,7 +227,8 @@ def _attitude(
     if "yaw" not in logged:
         raise DataError(
             f"{where}: the log holds no attitude: {', '.join(missing)} {'is' if len(missing) == 1 else 'are'} missing; "
-            "pitch and roll can be made from acceleration and yaw, yaw from nothing: log yaw or the whole attitude"
+            "pitch and roll can be made from acceleration and yaw, yaw from nothing: log yaw or the whole attitude, or "
+            "state 'held heading' (deg) in the quadrotor configuration if the vehicle held one"
         )
     if acceleration is None:
         raise DataError(

@@ -43,6 +43,7 @@ IMPORTING = (
     "betaflight raw acceleration correction factor",
     "command map",
     "logged body axes",
+    "held heading",
 )
 
 FILTERING = (*GEOMETRY, "motor poles", "idle RPM", "max RPM", "(estimated) imu sensor noise statistics")

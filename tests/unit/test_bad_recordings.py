@@ -311,3 +311,23 @@ def test_units_that_contradict_the_numbers_of_a_table_are_noted(tmp_path):
 def test_time_of_a_table_in_another_unit_than_stated_is_refused(tmp_path):
     with pytest.raises(QuasiError, match="a sample every 5 s if its time is in the unit"):
         table(tmp_path, lambda f: f.assign(t=1e3 * f["t"]))
+
+
+@pytest.mark.parametrize("still", [False, True])
+def test_a_pose_that_is_kept_to_the_end_in_hover_is_lost_where_the_gyro_turns(asked, still):
+    """Its reader cannot see it: the body neither stops dead nor jumps. `still`: the last pose is another one each."""
+    first = 1500  # frame, 12.5 s of 20
+
+    def freeze(lines):
+        kept = lines[6 + first].split(",")[2:]
+        for k in range(7 + first, len(lines) - 1):
+            cells = lines[k].split(",")
+            lines[k] = ",".join([*cells[:2], *(cells[2:] if still else kept)])
+        return lines
+
+    edit(asked, freeze)
+    frame, about = load(asked)
+    notes = [note for note in about["notes"] if "while the gyro turns" in note]
+    late = frame["t"] + about["start"]["value"] > 13.0
+    assert len(notes) == (not still)
+    assert frame["position_sample"][late].any() == still

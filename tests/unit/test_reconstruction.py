@@ -17,10 +17,12 @@ from quasi.importing.captured_sensors import Captured
 from quasi.importing.derivatives import derivative_error
 from quasi.importing.flight import import_flight
 from quasi.importing.inspection import inspect_flight
+from quasi.importing.onboard_log import HELD_HEADING
 from quasi.importing.readers.table_mapping import read_mapping
 from quasi.importing.reconstruction import complete_sensors, thrust_angles
 from quasi.importing.resampling import low_pass, velocity
 from quasi.importing.series import Series, Track
+from quasi.project.flights import IMPORTING
 from quasi.tables import read_json
 
 CRAZYPAD = SHARED.parent / "crazypad"
@@ -294,6 +296,37 @@ def test_a_real_flight_without_pitch_gyro_and_accelerometer():
 
 
 @pytest.mark.skipif(not (SHARED.parent / "nanodrone").is_dir(), reason="the nano-drone recordings are absent")
+@pytest.mark.parametrize("heading", [None, 10.0])
+def test_a_heading_that_was_held_stands_in_for_a_yaw_that_is_not_logged(heading):
+    log = CRAZYPAD / "cut_propeller_M3_3mm" / "E8_log01"
+    if not log.exists():
+        pytest.skip(f"{log} is not there")
+    flight = {"flight": "cut", "quadrotor": "E8", "flight controller": "crazyflie", "onboard": str(log)}
+    quadrotor = {} if heading is None else {"held heading": heading}
+    if heading is None:
+        with pytest.raises(DataError, match="'held heading'"):
+            import_flight(flight, quadrotor, {})
+        return
+    frame, about = import_flight(flight, quadrotor, {})
+    assert np.abs(np.degrees(frame["yaw"].to_numpy()) - heading).max() < 0.05
+    assert any("held heading" in sentence for sentence in cautions(about["notes"]))
+    assert about["reconstructed"]["attitude"]["angles"] == ["pitch"]
+
+
+def test_the_import_stage_reads_the_held_heading():
+    assert HELD_HEADING in IMPORTING
+
+
+def test_a_logged_yaw_comes_before_a_held_heading():
+    log = CRAZYPAD / "normal_flight" / "E8_log00"
+    if not log.exists():
+        pytest.skip(f"{log} is not there")
+    flight = {"flight": "n", "quadrotor": "E8", "flight controller": "crazyflie", "onboard": str(log)}
+    frame, about = import_flight(flight, {"held heading": 90.0}, {})
+    assert abs(np.degrees(frame["yaw"])).median() < 20.0
+    assert not any("held heading" in sentence for sentence in about["notes"])
+
+
 def test_what_is_made_of_a_real_estimate_agrees_with_the_sensors_that_were_left_out():
     config = read_json(Path(__file__).parents[2] / "examples/nanodrone/config/NanoDroneConfig.json")
     flight = {"flight": "a", "quadrotor": "N", "flight controller": "table", "rigid body": "", "log number": None,

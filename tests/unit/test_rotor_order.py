@@ -101,6 +101,15 @@ def test_a_gentle_flight_that_shows_little_by_itself_goes_with_the_others(flight
     assert 0.0 < found.odds["f3"] < 7.7 < found.odds["f2"]
 
 
+def test_moments_that_the_model_predicts_in_no_order_show_none(flights, model):
+    """Of orders that explain nothing, the one that predicts least leaves least: a log without yaw has no Mz."""
+    rng = np.random.default_rng(3)
+    silent = {a: 1e-4 * rng.standard_normal(len(flights[2].filtered)) for a in ("Mx", "My", "Mz")}
+    other = [logged(f, (0, 1, 3, 2), True) for f in flights]
+    blind = [f if not f.compared else replace(f, filtered=f.filtered.assign(**silent)) for f in other]
+    assert find_rotor_order(blind, model) is None
+
+
 def test_a_model_that_contradicts_its_configuration_shows_no_order(flights, model):
     """Reference flights in a wrong order: the compared ones, in the right one, are not at fault."""
     wrong = Model({**model.document, "contradictions": ["rotor 1 pushes as if it were aft left"]})

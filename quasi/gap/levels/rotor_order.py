@@ -5,9 +5,10 @@ the model predicts the moments from the reordered speeds, and what is left is co
 leaves. A wrong order predicts moments of the wrong sense, which no force or inertia can correct, so that it is tested
 before the causes of forces. Where it is found, import puts the columns right and all else is asked of the same flights.
 
-Under an order the rest of the moments is taken for normal, with a variance of its own on each axis, so that the log
-likelihood is -n/2 times the sum of the logarithms of these variances. n counts seconds: moments of a flight in closed
-loop are independent from one second to the next at the latest.
+Under an order the moments are a gain from 0 to 1 times the prediction, and a rest that is taken for normal, with a
+variance of its own on each axis: the log likelihood is -n/2 times the sum of the logarithms of these variances. Without
+the gain, of two orders that explain nothing the one that predicts less would win. n counts seconds: moments of a flight
+in closed loop are independent from one second to the next at the latest.
 Source: Kass & Raftery, Bayes factors, JASA 90, 1995 (DECISIVE).
 """
 
@@ -129,15 +130,23 @@ def find_rotor_order(flights: Sequence[Flown], model: Model) -> RotorOrder | Non
 
 
 def residual_variances(flight: Evidence, model: Model) -> np.ndarray:
-    """Variance (24, 3) within a flight of what the model leaves of the moments, by order."""
+    """Variance (24, 3) within a flight of what the model leaves of the moments at best, by order (see `_rest`)."""
     accelerations = [f"{w}_dot" for w in ROTORS]
     names = [*ROTORS, *(a for a in accelerations if a in flight.columns)]
     found = []
     for order in ORDERS:
         moved = {n: flight.columns[f"w{order[int(n[1]) - 1] + 1}{n[2:]}"] for n in names}
         predicted = model.predict_columns({**flight.columns, **moved})[[AXES[a] for a in MOMENT_AXES]].to_numpy()
-        found.append((flight.measured[:, MOMENT_AXES] - predicted).var(axis=0))
+        found.append(_rest(flight.measured[:, MOMENT_AXES], predicted))
     return np.array(found)
+
+
+def _rest(measured: np.ndarray, predicted: np.ndarray) -> np.ndarray:
+    """Variance (3,) of the measured moments (n, 3) that the predicted ones leave, with the gain from 0 to 1 that leaves
+    least."""
+    power, common = predicted.var(axis=0), np.mean((measured - measured.mean(axis=0)) * predicted, axis=0)
+    gain = np.clip(common / np.maximum(power, 1e-300), 0.0, 1.0)
+    return (measured - gain * predicted).var(axis=0)
 
 
 def log_odds(left: np.ndarray, t: np.ndarray) -> np.ndarray:

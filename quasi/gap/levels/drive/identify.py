@@ -356,7 +356,6 @@ def _parameters(
     # a flight whose voltage stays holds the exponent that its fit began with
     informative = [d for d in fits if d.volts_vary] if offer.cause == "battery_sag" else fits
     values = np.array([d.values for d in informative])
-    share = 1.0 / np.sqrt(len(informative))
     if offer.cause == "motor_lag" and offer.which != (len(OWN_LAGS),):
         return {
             f"rotor{ROTOR_NUMBERS[k]}": {"value": float(np.exp(v)), "std": float(np.exp(v) * s), "unit": "1"}
@@ -364,19 +363,25 @@ def _parameters(
         }
     if offer.cause == "motor_lag":
         each = values[:, :2].mean(axis=1)
-        std = max(float(each.std()) * share, NORMAL["up"] * float(each.mean()) * share / np.sqrt(2.0))
+        std = _error_of_mean(each, NORMAL["up"] * float(each.mean()) / np.sqrt(2.0))
         ratio = values[:, 1] / values[:, 0]
-        apart = max(float(ratio.std()), NORMAL["up"] * float(ratio.mean())) * share
+        apart = _error_of_mean(ratio, NORMAL["up"] * float(ratio.mean()))
         return {
             "time_constant": {"value": float(each.mean()), "std": float(np.hypot(std, timing)), "unit": "s"},
             "down_over_up": {"value": float(ratio.mean()), "std": apart, "unit": "1"},
         }
     if offer.cause == "battery_sag":
         each = values[:, EXPONENT]
-        std = max(float(each.std()) * share, NORMAL["exponent"] * share)
-        found = {"exponent": {"value": float(each.mean()), "std": float(std), "unit": "1"}}
+        std = _error_of_mean(each, NORMAL["exponent"])
+        found = {"exponent": {"value": float(each.mean()), "std": std, "unit": "1"}}
         return found | ({"reference voltage": {"value": volts, "std": 0.0, "unit": "V"}} if volts else {})
     return {"delay": {"value": float(test.value[0]), "std": float(test.std[0]), "unit": "s"}}
+
+
+def _error_of_mean(each: np.ndarray, usual: float) -> float:
+    """Standard error of the mean of flights (n,) that differ by what they show, and by no less than what is usual."""
+    shown = float(each.std(ddof=1)) if len(each) > 1 else 0.0
+    return max(shown, usual) / float(np.sqrt(len(each)))
 
 
 def _tables(level: Level, used: Sequence[Flown], fits: Sequence[DriveFit], apart: Sequence[np.ndarray]) -> None:
