@@ -19,7 +19,6 @@ GAP = {
 }
 NO_REFERENCE = {"rows of reference flights": []}  # row 5 would have to be made first
 TARGET, EXTENDED = "results/gaps/near", "models/small-near/standalone"
-PARTS = "results/parts/standalone/small-near"
 
 
 def configure(project, name="near", **changes):
@@ -34,7 +33,7 @@ def last_line(text):
 
 def test_a_gap_makes_diagnosis_report_and_a_model_and_a_second_run_does_nothing(project):
     configure(project)
-    code, text = project.snakemake("-j2", TARGET, f"{PARTS}/report.html", "results/mcap/gaps/near")
+    code, text = project.snakemake("-j2", TARGET, EXTENDED, "results/mcap/gaps/near")
     assert code == 0, text
     folder = project.folder / TARGET
     made = {p.relative_to(folder).as_posix() for p in folder.rglob("*.*")}
@@ -51,17 +50,15 @@ def test_a_gap_makes_diagnosis_report_and_a_model_and_a_second_run_does_nothing(
     lives = page[page.index("Where the errors live") :]  # of sensors, drive, forces and moments, simulations
     for channel in ("northward acceleration", "speed of rotor 1", "vertical force", "velocity"):
         assert channel in lives
-    model = json.loads((project.folder / PARTS / "model.json").read_text())
+    model = json.loads((project.folder / EXTENDED / "model.json").read_text())
     assert model["id"] == "small-near" and model["provenance"]["extended from"] == "small"
     assert {e["id"] for e in model["extensions"]} == {
         e["id"] for e in found["effects"] if e["level"] in ("forces", "drive")
     }
-    assert (project.folder / PARTS / "report.html").is_file()
+    assert (project.folder / EXTENDED / "report.html").is_file()
 
     assert list((project.folder / "results/mcap/gaps/near").glob("*.mcap"))
-    assert project.would_run(TARGET) == {}
-    # what the other parts of any model's folder are made by
-    assert project.would_run(EXTENDED) == {"standalone_figures": 1, "standalone_trajectories": 1, "standalone": 1}
+    assert project.would_run(TARGET) == {} and project.would_run(EXTENDED) == {}
     # nothing that stands below a gap hears of it
     project.edit_json("config/gaps/near.json", lambda d: d.update({"horizons": [0.2]}))
     again = project.would_run(TARGET)
@@ -112,10 +109,9 @@ def test_a_faulty_file_of_causes_ends_with_its_sentence(project):
 
 def test_without_a_held_out_flight_forces_are_not_asked_and_the_rest_is(project):
     configure(project, rows={"rows of flights held out": [], **NO_REFERENCE})
-    target = "results/parts/gap/near/diagnosis.json"
-    code, text = project.snakemake("-j2", target)
+    code, text = project.snakemake("-j2", TARGET)
     assert code == 0, text
-    found = json.loads((project.folder / target).read_text())
+    found = json.loads((project.folder / TARGET / "diagnosis.json").read_text())
     why = {c["id"]: c["why"] for c in found["cannot_be_asked"]}
     assert "no flight is held out" in why["ground_effect"] and "gyro_scale" not in why
     assert "forces and moments could not be asked" in found["summary"] and found["verdict"] == "not judged"
