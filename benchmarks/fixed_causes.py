@@ -43,12 +43,12 @@ FIRST_SEED = 50_000
 LARGEST_ERROR = 0.35  # of a parameter, relative to its deviation from neutral; the study's median is 0.03
 
 
-def seek_case(name: str, folder: Path = OUT) -> dict[str, Any]:
+def seek_case(name: str, folder: Path = OUT, seconds: float = 30.0) -> dict[str, Any]:
     """Hide a case's causes and diagnose its flights; `hide_and_seek.draw` says what is returned."""
     design, effects = CASES[name]
     kind = "clean" if not effects else "unlisted" if set(effects) <= set(STRANGE) else "single"
     hide = {"kind": kind, "design": design, "effects": effects, "factors": dict.fromkeys(effects, 1.0)}
-    return draw({"seed": FIRST_SEED + list(CASES).index(name), "hide": hide}, folder=folder)
+    return draw({"seed": FIRST_SEED + list(CASES).index(name), "hide": hide}, seconds, folder)
 
 
 def list_faults(result: dict[str, Any]) -> list[str]:

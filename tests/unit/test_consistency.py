@@ -13,7 +13,7 @@ from scipy.stats import chi2
 def draws():
     seeds = ((1, "mixed", 0.0), (2, "aggressive", 0.0), (3, "mixed", 0.0), (1, "mixed", 1.0), (2, "aggressive", 1.0))
     return [
-        consistency.draw({"seed": seed, "profile": profile, "seconds": 40.0, "nuisance": nuisance})
+        consistency.draw({"seed": seed, "profile": profile, "seconds": 20.0, "nuisance": nuisance})
         for seed, profile, nuisance in seeds
     ]
 

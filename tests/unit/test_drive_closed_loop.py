@@ -16,7 +16,7 @@ from quasi.gap.levels.drive.findings import _odd_rotors, weak
 from quasi.gap.levels.drive.fit import Belief, DriveFit, fit_drive
 from quasi.gap.levels.drive.identify import CATALOGUE, examine
 
-RATE, SECONDS, FINER = 500.0, 20.0, 2
+RATE, SECONDS, FINER = 500.0, 12.0, 2
 LAG, AGE, GAIN, HOVER = 0.02, 0.002, 4000.0, 0.45
 STEP = 1.0 / (RATE * FINER)
 TRUE_LAG = -STEP / np.log(1.0 - STEP / LAG)  # of Euler's steps

@@ -17,8 +17,8 @@ import sys
 from dataclasses import dataclass
 from pathlib import Path
 
+import hidden
 import pytest
-from hidden import healthy_model
 
 from quasi_synthesis.campaign import project_files, read_campaign
 
@@ -44,6 +44,7 @@ MODEL = {
         "polynomial": {"regressor cap": 2},
     },
 }
+SECONDS = 18.0  # of a healthy made flight, and of those that stand against them
 PROCESSING = {
     "logging file": {"directory": "data", "filename": "small_file_log"},
     "data importing": {"resampling rate": 250},
@@ -183,5 +184,15 @@ def project(finished, tmp_path):
 
 @pytest.fixture(scope="session")
 def healthy(tmp_path_factory):
-    """Folder of healthy made flights and of the model that they made; the files grow with the flights asked for."""
-    return shared_by_workers(tmp_path_factory, "healthy", lambda folder: healthy_model(folder / "healthy")) / "healthy"
+    """Folder of healthy made flights and of the model that they made; the files grow with the flights asked for.
+
+    They are as short as made flights can be, and few: a third of the time of the study's.
+    """
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(hidden, "SECONDS", SECONDS)
+        patch.setattr(hidden, "LEARNED", hidden.LEARNED[:6])
+
+        def make(folder):
+            hidden.healthy_model(folder / "healthy")
+
+        yield shared_by_workers(tmp_path_factory, "healthy", make) / "healthy"

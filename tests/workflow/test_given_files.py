@@ -18,7 +18,6 @@ def test_an_older_raw_file_in_the_place_of_another_reruns_its_flight_and_a_touch
     project.edit_logbook(lambda rows: rows.append({**rows[0], "Flight ID": "9", **places}))
     code, text = project.snakemake("-j1", TARGET)
     assert code == 0, text
-    assert project.would_run(TARGET) == {}
     os.utime(raw / "given.bbl")
     assert project.would_run(TARGET) == {}
 

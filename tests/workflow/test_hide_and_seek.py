@@ -11,6 +11,7 @@ sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
 
 import hidden
 from clarity import NOTHING, Asked, clarity, of_the_error
+from conftest import SECONDS
 from fixed_causes import TESTED, list_faults, seek_case
 from hidden import ALL, STRANGE, deviation, drawn
 from hide_and_seek import judge
@@ -28,7 +29,7 @@ from quasi_synthesis.vehicle import BASE_MASS
 @pytest.mark.parametrize("name", TESTED)
 def test_what_is_hidden_is_named_and_nothing_else(name, healthy):
     """Two levels at once, and nothing; `benchmarks/fixed_causes.py` has every level, both designs, and no catalogue."""
-    assert not list_faults(seek_case(name, healthy.parent))
+    assert not list_faults(seek_case(name, healthy.parent, SECONDS))
 
 
 def test_a_case_fails_by_a_wrong_name_an_outcome_or_a_poor_estimate():

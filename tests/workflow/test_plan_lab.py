@@ -8,6 +8,7 @@ import pytest
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
 
+from conftest import SECONDS
 from hidden import affected, healthy_model, processed, references
 
 from quasi.gap.catalogue import catalogue
@@ -24,13 +25,13 @@ CAUSE, PARAMETER = "tether", "k"
 def test_a_made_flight_with_a_cause_of_expected_t_10_measures_about_10(healthy, tmp_path):
     """Expected from four healthy flights with another four beside them; measured on four flights with the cause."""
     model = healthy_model(healthy)
-    others = [f for _, f in references(healthy, 0)]
+    others = [f for _, f in references(healthy, 50_010)]  # those of a case of hide and seek
     effects = {n: e for n, e in catalogue().items() if e.level == "forces" and n != "proximity"}
     flights = [plan.read_flight(f.filtered, model, f.key) for f in others]
     card = plan.examine(flights, model, effects, 4, 4, propose=False)
     sight = next(r.sight for r in card.rows if r.effect.id == CAUSE)
     size = sight.size * 10.0 / sight.t
-    planted = [processed(r, True) for r in affected(tmp_path, 7, {CAUSE: {PARAMETER: size}}, 30.0)]
+    planted = [processed(r, True) for r in affected(tmp_path, 7, {CAUSE: {PARAMETER: size}}, SECONDS)]
     vehicle = vehicle_of(model)
     evidence = [gather(f.key, f.filtered, f.filtered_metadata, f.airframe, model, 100.0) for f in [*planted, *others]]
     study = gather_design(evidence, effects, vehicle)
