@@ -81,7 +81,7 @@ def test_larger_noise_of_instruments_is_no_error_of_the_model(logged, axes):
     for one in noisy:
         one.left[:, 2] += 0.2 * np.sign(np.sin(np.linspace(0.0, 40.0, ROWS)))
     flights = [healthy(0, 4), noisy]
-    for one in sum(flights, []):
+    for one in (*flights[0], *noisy):
         one.metadata = {"filters": logged}
     assert [e["channel"] for e in entries(*flights)] == axes
 
