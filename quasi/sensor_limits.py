@@ -377,9 +377,12 @@ def _find_usual_hold(signal: np.ndarray, top: float, at_top: np.ndarray) -> floa
     return np.count_nonzero(large) / changes if changes else 1.0
 
 
-def _is_piled(signal: np.ndarray, top: float, at_top: np.ndarray, step: float) -> bool:
-    """Whether the extreme has far more samples than its neighbours, on many separate visits."""
-    near = (signal >= top - 1.5 * (step or NEIGHBOUR_WIDTH * top)) & ~at_top
+def _is_piled(signal: np.ndarray, top: float, at_top: np.ndarray, step: float, within: float) -> bool:
+    """Whether the extreme, a band of width `within`, has far more samples than its neighbours, on many visits.
+
+    The neighbours' band is as wide as that of the extreme at least: else a wide one would have none.
+    """
+    near = (signal >= top - within - max(1.5 * (step or NEIGHBOUR_WIDTH * top), within)) & ~at_top
     return len(runs_of(at_top)) >= MIN_VISITS and int(at_top.sum()) > MIN_PILE_RATIO * int(near.sum())
 
 
@@ -409,7 +412,7 @@ def find_clipping(values: np.ndarray, sensor: str, step: float = 0.0) -> list[Cl
         )
         together = int(np.sum((last - first)[steep]))
         if together >= (MIN_TOTAL_SAMPLES if full is None else MIN_FLAT_SAMPLES) or _is_piled(
-            signal, top, at_top, step
+            signal, top, at_top, step, within
         ):
             found.append(Clipped(sign * top, full, at_top))
     return found

@@ -56,6 +56,15 @@ def test_a_peak_that_happens_to_reach_a_usual_full_scale_is_none(seed, degrees, 
         assert find_clipping(step * np.round(seen / step) if step else seen, "gyro", step) == []
 
 
+@pytest.mark.parametrize("seed", range(8))
+def test_a_noisy_peak_that_happens_to_reach_a_usual_full_scale_is_none(seed):
+    """Noise makes many visits of the band about the full scale, and steps of 0.01 deg/s left its neighbours empty."""
+    seen = np.radians(125.0) * np.sin(2.0 * np.pi * 0.2 * np.arange(30000) / RATE)
+    seen += np.radians(0.2) * np.random.default_rng(seed).standard_normal(len(seen))
+    step = np.radians(0.01)
+    assert find_clipping(step * np.round(seen / step), "gyro", step) == []
+
+
 def test_values_held_between_slow_updates_are_not_clipped():
     slow = motion(3)[::10]
     for step in (0.0, STEP):
