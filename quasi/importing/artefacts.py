@@ -15,6 +15,8 @@ LARGEST_FLOWN_ACCELERATION = 200.0  # m/s2, far above any quadrotor (20 g)
 MAX_ANGULAR_ACCELERATION = 1500.0  # rad/s2, above a 3-inch racer's
 LARGEST_FLOWN_SPEED = 40.0  # m/s
 MAX_RATE = 45.0  # rad/s
+END_FRAMES = 3  # frames of an end next to a cut: glitches of one or two frames, and one that states the speed
+PIECES_BACK = 121  # pieces that may be left out between two that are kept: 40 cuts, of which each makes three
 LONGEST_SWAP = 2.0  # s; a piece longer than this is believed, and so is what follows it
 SHORTEST_HOLD = 0.05  # s that a pose is held at least, and
 FEWEST_REPEATS = 3  # how often, to be looked at
@@ -71,19 +73,24 @@ def _steps(t: np.ndarray, x: np.ndarray, q: np.ndarray, turns: bool) -> tuple[np
 
 @numba.njit(cache=True)
 def _chain(
-    first: np.ndarray, last: np.ndarray, t: np.ndarray, x: np.ndarray, q: np.ndarray, turns: bool,
-    floor_x: float, floor_q: float,
+    first: np.ndarray, last: np.ndarray, start: np.ndarray, end: np.ndarray, t: np.ndarray, x: np.ndarray,
+    q: np.ndarray, turns: bool, floor_x: float, floor_q: float,
 ) -> np.ndarray:  # fmt: skip
-    """Of the pieces first..last (inclusive), True for those of the flyable chain that holds the most frames."""
+    """Of the pieces first..last (inclusive), True for those of the flyable chain that holds the most frames.
+
+    start, end  first and last frame between the cuts that a piece lies between. The time from the one end to the next
+    start bounds what a body can do: frames that are left out next to a cut make no jump flyable.
+    """
     n = len(first)
     best, before = np.zeros(n), np.full(n, -1)
     for k in range(n):
         best[k] = last[k] - first[k] + 1
         size = best[k]
         b = first[k]
-        for j in range(k - 1, max(-1, k - 41), -1):
+        for j in range(k - 1, max(-1, k - PIECES_BACK), -1):
             a = last[j]
             gap = t[b] - t[a]
+            free = gap if start[j] == start[k] else t[start[k]] - t[end[j]]
             distance = 0.0
             for c in range(3):
                 # where the earlier piece would have gone, with the mean of its last and the later one's first speed
@@ -94,14 +101,17 @@ def _chain(
                 mean = min(max(0.5 * (va + vb), -LARGEST_FLOWN_SPEED), LARGEST_FLOWN_SPEED)
                 distance += (x[b, c] - x[a, c] - mean * gap) ** 2
             near = np.sqrt(distance) <= floor_x + min(
-                0.25 * LARGEST_FLOWN_ACCELERATION * gap * gap, LARGEST_FLOWN_SPEED * gap
+                0.25 * LARGEST_FLOWN_ACCELERATION * free * free, LARGEST_FLOWN_SPEED * free
             )
             if near and turns:
-                near = _turn(q[a], q[b]) <= floor_q + min(
-                    0.1 + 0.5 * MAX_ANGULAR_ACCELERATION * gap * gap, MAX_RATE * gap
+                # what it turns by anyway in the frames that are left out
+                ra = _turn(q[a - 1], q[a]) / (t[a] - t[a - 1]) if last[j] > first[j] else 0.0
+                rb = _turn(q[b], q[b + 1]) / (t[b + 1] - t[b]) if last[k] > first[k] else 0.0
+                near = _turn(q[a], q[b]) <= floor_q + max(ra, rb) * (gap - free) + min(
+                    0.1 + 0.5 * MAX_ANGULAR_ACCELERATION * free * free, MAX_RATE * free
                 )
             # a long piece is the truth even where the next one starts elsewhere (the body was carried, unseen)
-            both_long = t[last[j]] - t[first[j]] > LONGEST_SWAP and t[last[k]] - t[first[k]] > LONGEST_SWAP
+            both_long = t[end[j]] - t[start[j]] > LONGEST_SWAP and t[end[k]] - t[start[k]] > LONGEST_SWAP
             if (near or both_long) and best[j] + size > best[k]:
                 best[k] = best[j] + size
                 before[k] = j
@@ -148,9 +158,14 @@ def flyable(t: np.ndarray, position: np.ndarray, quaternion: np.ndarray | None) 
     if not cut.any():
         return np.ones(n, bool)
     edges = np.flatnonzero(cut | (dt > MISSING * np.median(dt)))
+    # frames next to a cut may be outliers that are just small enough: they are pieces of their own, to be left out
+    starts, ends = np.concatenate([[0], edges + 1]), np.concatenate([edges, [n - 1]])
+    long = ends - starts >= 3 * END_FRAMES
+    edges = np.unique(np.concatenate([edges, (starts + END_FRAMES - 1)[long], (ends - END_FRAMES)[long]]))
     first = np.concatenate([[0], edges + 1])
     last = np.concatenate([edges, [n - 1]])
-    kept = _chain(first, last, t, x, q, turns, floor_x, floor_q)
+    within = np.searchsorted(ends, first)
+    kept = _chain(first, last, starts[within], ends[within], t, x, q, turns, floor_x, floor_q)
     return np.repeat(kept, last - first + 1)
 
 
