@@ -95,16 +95,17 @@ def gain_entry(cause: Cause, gains: Mapping[str, Mapping[str, float | None]]) ->
 
 
 def lower_effect(effect: Mapping[str, Any], level: str, gap: Mapping[str, Any]) -> dict[str, Any]:
-    """An effect of sensors or drive; its gain on held-out flights is that of its channel where most could be removed.
+    """An effect of sensors or drive; its gain on held-out flights is that of the channel that it removes most of.
 
     Of one that nothing corrects there is no gain.
     """
     if uncorrected(effect["id"], level):
-        kept = {k: v for k, v in effect.items() if k != "removed"}
+        kept = {k: v for k, v in effect.items() if k not in ("removed", "removed most of")}
         return {**kept, "level": level, "gain": {"wrench": None, "rollout": None}, "confused_with": []}
     best: tuple[float, float | None] = (0.0, None)
     if effect.get("removed"):
-        gain = {"wrench": min(max(effect["removed"].values()), 1.0), "rollout": None}
+        share = effect["removed"][effect["removed most of"]]
+        gain = {"wrench": min(share, 1.0), "rollout": None}
         return {**effect, "level": level, "gain": gain, "confused_with": []}
     for channel in effect["channels"]:
         old, new, floor = (gap[k].get(level, {}).get(channel, {}).get("0") for k in ("before", "after", "noise_floor"))

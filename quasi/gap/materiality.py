@@ -274,12 +274,14 @@ class LinearErrors(NamedTuple):
 class Gain(NamedTuple):
     """Per channel (C,), as shares of the removable error: what a cause removes, and what it could remove at most.
 
-    NaN where the floor holds nearly all of the error. squares (C,)  what it removes of the mean squared error
+    NaN where the floor holds nearly all of the error. squares (C,)  what it removes of the mean squared error; whole
+    (C,)  the same as a share of all of it
     """
 
     removed: np.ndarray
     most: np.ndarray
     squares: np.ndarray
+    whole: np.ndarray
 
 
 def gains_of(flights: Sequence[LinearErrors], sizes: Mapping[str, np.ndarray]) -> dict[str, Gain]:
@@ -301,7 +303,7 @@ def gains_of(flights: Sequence[LinearErrors], sizes: Mapping[str, np.ndarray]) -
         removable = np.maximum(above, most)
         removable = np.where(removable > (1.0 - HOLDS) * before, removable, np.nan)
         squares = mean([a + m for a, m in zip(after, own)]) - left
-        found[cause] = Gain(squares / removable, most / removable, squares)
+        found[cause] = Gain(squares / removable, most / removable, squares, squares / np.maximum(before, 1e-300))
     return found
 
 

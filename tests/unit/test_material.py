@@ -9,6 +9,7 @@ from test_actuation import DOWN, MAP, MODEL, UP, VOLTS
 from test_actuation import flown as driven
 from test_kinematic import flown as moved
 
+from quasi.gap.catalogue import catalogue
 from quasi.gap.entries import lower_effect
 from quasi.gap.levels import sensors_and_drive
 from quasi.gap.levels.corrections import document, for_flight
@@ -18,6 +19,7 @@ from quasi.gap.levels.sensors import held_out
 from quasi.gap.levels.sensors import identify as sensor_level
 from quasi.gap.levels.sensors_and_drive import FAINTEST, SEARCHES, rate_of, reject_immaterial
 from quasi.gap.materiality import LinearErrors, gains_of
+from quasi.gap.report.wording import cause_sentence
 
 SHARE = 0.05
 
@@ -56,6 +58,19 @@ def test_a_bias_that_held_out_flights_have_too_keeps_its_name_with_its_share(bia
     (effect,) = levels["sensors"]["effects"]
     assert effect["removed"]["p"] > 0.95 and effect["removed"]["r"] > 0.95
     assert set(effect["removed"]) <= set("pqr")
+
+
+def test_the_channel_named_is_the_one_that_loses_most_of_its_error():
+    flights = [moved(s, gyro_bias=np.array([0.08, 0.0, -0.01])) for s in (1, 2)]
+    levels = json.loads(json.dumps(settle_on(sensor_level.examine(flights, {}), flights)))
+    left = moved(3, gyro_bias=np.array([0.012, 0.0, 0.0]))  # corrected, but p by too little; all of r is gone
+    reject_immaterial(levels, [], [left], SHARE)
+    (effect,) = levels["sensors"]["effects"]
+    assert effect["removed"]["p"] < effect["removed"]["r"] and effect["removed most of"] == "p"
+    assert lower_effect(effect, "sensors", {})["gain"]["wrench"] == pytest.approx(effect["removed"]["p"])
+    assert "of the removable roll rate error away" in cause_sentence(
+        lower_effect(effect, "sensors", {}), catalogue(), {"f3": "held out"}
+    )
 
 
 def test_a_bias_that_held_out_flights_do_not_have_loses_its_name_and_says_why(biased):

@@ -113,7 +113,8 @@ def reject_immaterial(
     levels  {"sensors", "drive": lists "effects", "ties", "candidates", "notes", and "found on"}, see `plain`
     first, last  held-out flights before and after the calibration; share  least share of some channel's removable error
     stricter  factor on the p-values that were asked, for what held-out flights cannot judge
-    What is judged carries "removed": {channel: share}. The share counts where the error of all channels of the same
+    What is judged carries "removed": {channel: share}, and under "removed most of" the channel that loses the largest
+    share of its whole error by it. The share counts where the error of all channels of the same
     unit falls: a value that makes rates worse is not confirmed by one axis of them.
     """
     for name, level in levels.items():
@@ -136,6 +137,9 @@ def reject_immaterial(
             acts = [k for k, c in enumerate(about["channels"]) if name == "drive" or _acts(cause, c)]
             removed, most = found[cause].removed[acts], found[cause].most[acts]
             entry["removed"] = {about["channels"][k]: float(v) for k, v in zip(acts, removed) if np.isfinite(v)}
+            if entry["removed"]:
+                whole = np.where(np.isfinite(removed), found[cause].whole[acts], -np.inf)
+                entry["removed most of"] = about["channels"][acts[int(np.argmax(whole))]]
             units = np.array([_unit_of(about["channels"][k]) for k in acts])
             grows = [found[cause].squares[acts][units == u].sum() < 0.0 for u in units]
             confirmed = np.where(grows, np.minimum(removed, 0.0), removed)

@@ -146,8 +146,7 @@ def _explains(effect: Mapping[str, Any], roles: Mapping[str, str]) -> str:
         if reaches_floor(gain):
             return f"brings the error of rotor speeds at given commands down to the noise floor{at}"
         return f"explains {percent(gain)} of the removable error of rotor speeds at given commands{at}"
-    removed = effect.get("removed") or {}
-    best = max(removed, key=removed.get, default=None)
+    best = effect.get("removed most of")
     which = f"{CHANNEL_NAMES.get(best, best)} error" if best else "error"
     if reaches_floor(gain):
         return f"brings the {which} down to the noise floor{at}, corrected at import"
