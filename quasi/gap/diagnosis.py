@@ -49,7 +49,7 @@ from quasi.gap.levels.trim_evidence import (
     unnamed_change,
     why_rotor_is_enough,
 )
-from quasi.gap.losses import correction_matters, drive_losses
+from quasi.gap.losses import correction_matters, drive_losses, with_own_terms
 from quasi.gap.materiality import Cause
 from quasi.gap.probability import add_probabilities
 from quasi.gap.report.wording import summary
@@ -218,7 +218,7 @@ def diagnose(
     lower_effects += named_by_trim
     ties += tied_by_trim
     trimmed = unnamed_change(trim, [*taken, *(e["id"] for e in named_by_trim)])
-    lost_by = [*settled.losses, *drive_losses(gap)]
+    lost_by = [*with_own_terms(settled.losses, model, extended, held, share), *drive_losses(gap)]
     result = {
         "schema": SCHEMA,
         "gap": gap,

@@ -11,6 +11,7 @@ import numpy as np
 import pandas as pd
 
 from quasi.gap.flights.evidence import Evidence
+from quasi.gap.flights.instruments import shown
 from quasi.gap.levels.forces.error_reduction import Squares, after, before, wrench_squares
 from quasi.gap.levels.forces.nuisance import nuisances
 from quasi.gap.levels.rollouts import error_reduction
@@ -30,6 +31,7 @@ class Loss(NamedTuple):
 
     of_trim  the flight's own trim explains it: it limits the verdict and rejects no cause
     one_axis  it is one axis of a vector that does not surely lose: it rejects only causes of that axis alone
+    term  the model's own term without whose answer to the causes nothing is lost, and its axis; "" where there is none
     """
 
     line: str
@@ -39,6 +41,7 @@ class Loss(NamedTuple):
     after: float
     of_trim: bool = False
     one_axis: bool = False
+    term: str = ""
 
     @property
     def growth(self) -> float:
@@ -49,7 +52,8 @@ class Loss(NamedTuple):
         """The loss in words."""
         where = f"after {self.horizon:g} s of simulation" if self.horizon else "on the held-out flights"
         name = f"the speed of rotor {self.quantity[1:]}" if self.line == DRIVE_LINE else self.quantity
-        return f"the error of {name} {where} grows from {self.before:.3g} to {self.after:.3g}"
+        text = f"the error of {name} {where} grows from {self.before:.3g} to {self.after:.3g}"
+        return text + (f", by what the model's own term {self.term} makes of the causes" if self.term else "")
 
 
 def reject_losing_causes(
@@ -166,6 +170,53 @@ def losses(
     if rows:
         found += _of_simulations(rows, share, trim_is_usual(held, after(extended, base)))
     return sorted(found, key=lambda loss: -loss.growth)
+
+
+def with_own_terms(
+    found: Sequence[Loss], base: Model, extended: Model, held: Sequence[Evidence], share: float
+) -> list[Loss]:  # fmt: skip
+    """Losses with the term of the model's own that makes them, where one term does.
+
+    A wind moves all terms that hold a velocity. One that stands for something else answers to it with an error that no
+    cause has: with that one as it was, its axis of force or moment surely loses nothing. share  material share
+    """
+    axis_moved = {quantity: axis for axis, quantity in MOVED_BY.items()}
+    axes = {loss: loss.quantity if loss.quantity in AXES else axis_moved.get(loss.quantity) for loss in found}
+    terms = {axis: _own_term(axis, base, extended, held, share) for axis in {*axes.values()} - {None}}
+    return [loss._replace(term=terms.get(axes[loss], "")) for loss in found]
+
+
+def _own_term(axis: str, base: Model, extended: Model, held: Sequence[Evidence], share: float) -> str:
+    """The term of an axis by whose change alone that axis loses; "" where there is none. It is in both models."""
+    k, best, least = AXES.index(axis), "", np.inf
+    old, new = _squares_of(axis, held, before), _squares_of(axis, held, after(extended, base))
+    if not np.all(new > (1.0 + share) * old):
+        return ""
+    for name in [term["name"] for term in base.document["axes"].get(axis, {}).get("terms", ())]:
+        pair = [_without_term(model, axis, name) for model in (base, extended)]
+
+        def as_it_was(flight: Evidence, pair: Sequence[Model] = tuple(pair)) -> np.ndarray:
+            left = after(extended, base)(flight).copy()
+            moves, others = (shown(m[1], m[0], flight) - shown(m[0], m[0], flight) for m in ((base, extended), pair))
+            left[:, k] += (moves - others)[:, k]
+            return left
+
+        rest = _squares_of(axis, held, as_it_was)
+        if np.all(rest <= (1.0 + share) * old) and rest.sum() < least:
+            best, least = f"{name} ({axis})", rest.sum()
+    return best
+
+
+def _squares_of(axis: str, held: Sequence[Evidence], residual: Callable[[Evidence], np.ndarray]) -> np.ndarray:
+    """Mean square (2,) of an axis, with constant errors and without."""
+    squares = [wrench_squares(held, lambda f: f.heard(residual(f)), centred).mean() for centred in (False, True)]
+    return np.array(squares)[:, AXES.index(axis)]
+
+
+def _without_term(model: Model, axis: str, name: str) -> Model:
+    axes = model.document["axes"]
+    terms = [{**term, "coefficient": 0.0} if term["name"] == name else term for term in axes[axis]["terms"]]
+    return Model({**model.document, "axes": {**axes, axis: {**axes[axis], "terms": terms}}})
 
 
 def wrench_pairs(models: Sequence[Model], base: Model, held: Sequence[Evidence]) -> list[tuple[Squares, ...]]:

@@ -29,7 +29,7 @@ from quasi.gap.levels.forces.smooth_functions import grounds_of
 from quasi.gap.levels.forces.spectral_peaks import Signal, search
 from quasi.gap.levels.rollouts import split_flights
 from quasi.gap.levels.sensors import held_out, identify
-from quasi.gap.losses import _of_forces, correction_matters, wrench_pairs
+from quasi.gap.losses import Loss, _of_forces, correction_matters, with_own_terms, wrench_pairs
 from quasi.gap.materiality import Cause, material
 from quasi.gap.own_effect import effect_of
 from quasi.gap.selection import Tie
@@ -172,6 +172,27 @@ def test_what_a_cause_adds_is_what_its_model_makes(name, values):
     # of an inertia the columns hold the measured acceleration, noise and all
     close = 1e-6 if name == "mass" else 0.02
     assert whole_of(effect, one, VEHICLE, values) == pytest.approx(right, abs=close * np.abs(right).max())
+
+
+@pytest.mark.parametrize("stray, term", [(4e-4, "v^2 (Mz)"), (0.0, "")])
+def test_a_loss_that_a_term_of_the_model_makes_of_a_wind_names_the_term(stray, term):
+    """A yaw moment with the square of a speed, taken up by chance, answers to a wind that yaws no vehicle."""
+    axes = BASE.document["axes"]
+    terms = [
+        *axes["Mz"]["terms"],
+        {**axes["Mz"]["terms"][0], "name": "v^2", "expression": "v^2", "coefficient": stray, "given": True},
+    ]
+    base = Model({**BASE.document, "axes": {**axes, "Mz": {**axes["Mz"], "terms": terms}}})
+    wind = [(CAUSES["wind"], {"north": -2.0, "east": 2.0, "down": 0.0})]
+    still = flight(1)
+    measured = shown(made(wind), BASE, still) + still.measured - still.predicted
+    measured[:, 5] += 0.0 if stray else 1e-3 * still.columns["u"]  # lost is then nothing by a term
+    predicted = base.predict_columns(still.columns)[list(AXES)].to_numpy()
+    held = [replace(still, model=base, measured=measured, predicted=predicted)]
+    lost = [Loss("forces", "Mz", 0.0, 1e-3, 2e-3), Loss("rollouts", "rate z", 0.5, 0.1, 0.2)]
+    found = with_own_terms(lost, base, made(wind, base), held, 0.05)
+    assert [loss.term for loss in found] == [term, term]
+    assert found[1].sentence().endswith(f", by what the model's own term {term} makes of the causes" if term else "0.2")
 
 
 def test_an_axis_that_does_not_count_neither_makes_nor_spoils_a_name():
