@@ -31,7 +31,7 @@ class Loss(NamedTuple):
 
     of_trim  the flight's own trim explains it: it limits the verdict and rejects no cause
     one_axis  it is one axis of a vector that does not surely lose: it rejects only causes of that axis alone
-    term  the model's own term without whose answer to the causes nothing is lost, and its axis; "" where there is none
+    terms  the model's own without whose answer to the causes nothing is lost, and their axis; "" where there are none
     """
 
     line: str
@@ -41,7 +41,7 @@ class Loss(NamedTuple):
     after: float
     of_trim: bool = False
     one_axis: bool = False
-    term: str = ""
+    terms: str = ""
 
     @property
     def growth(self) -> float:
@@ -53,7 +53,7 @@ class Loss(NamedTuple):
         where = f"after {self.horizon:g} s of simulation" if self.horizon else "on the held-out flights"
         name = f"the speed of rotor {self.quantity[1:]}" if self.line == DRIVE_LINE else self.quantity
         text = f"the error of {name} {where} grows from {self.before:.3g} to {self.after:.3g}"
-        return text + (f", by what the model's own term {self.term} makes of the causes" if self.term else "")
+        return text + (f", by what the causes do to the model's own {self.terms}" if self.terms else "")
 
 
 def reject_losing_causes(
@@ -175,36 +175,46 @@ def losses(
 def with_own_terms(
     found: Sequence[Loss], base: Model, extended: Model, held: Sequence[Evidence], share: float
 ) -> list[Loss]:  # fmt: skip
-    """Losses with the term of the model's own that makes them, where one term does.
+    """Losses with the terms of the model's own that make them, where these do.
 
     A wind moves all terms that hold a velocity. One that stands for something else answers to it with an error that no
-    cause has: with that one as it was, its axis of force or moment surely loses nothing. share  material share
+    cause has: with such terms as they were, their axis of force or moment loses nothing. share  material share
     """
     axis_moved = {quantity: axis for axis, quantity in MOVED_BY.items()}
     axes = {loss: loss.quantity if loss.quantity in AXES else axis_moved.get(loss.quantity) for loss in found}
-    terms = {axis: _own_term(axis, base, extended, held, share) for axis in {*axes.values()} - {None}}
-    return [loss._replace(term=terms.get(axes[loss], "")) for loss in found]
+    terms = {axis: _own_terms(axis, base, extended, held, share) for axis in {*axes.values()} - {None}}
+    return [loss._replace(terms=terms.get(axes[loss], "")) for loss in found]
 
 
-def _own_term(axis: str, base: Model, extended: Model, held: Sequence[Evidence], share: float) -> str:
-    """The term of an axis by whose change alone that axis loses; "" where there is none. It is in both models."""
-    k, best, least = AXES.index(axis), "", np.inf
+def _own_terms(axis: str, base: Model, extended: Model, held: Sequence[Evidence], share: float) -> str:
+    """The terms of an axis by whose change that axis loses, the one that makes most of it first; "" where others do."""
+    k, names = AXES.index(axis), [term["name"] for term in base.document["axes"].get(axis, {}).get("terms", ())]
     old, new = _squares_of(axis, held, before), _squares_of(axis, held, after(extended, base))
     if not np.all(new > (1.0 + share) * old):
         return ""
-    for name in [term["name"] for term in base.document["axes"].get(axis, {}).get("terms", ())]:
-        pair = [_without_term(model, axis, name) for model in (base, extended)]
 
-        def as_it_was(flight: Evidence, pair: Sequence[Model] = tuple(pair)) -> np.ndarray:
+    def left_with(still: Sequence[str]) -> np.ndarray:
+        """Mean squares with some terms as they were."""
+        pair = [_without_terms(model, axis, still) for model in (base, extended)]
+
+        def as_it_was(flight: Evidence) -> np.ndarray:
             left = after(extended, base)(flight).copy()
             moves, others = (shown(m[1], m[0], flight) - shown(m[0], m[0], flight) for m in ((base, extended), pair))
             left[:, k] += (moves - others)[:, k]
             return left
 
-        rest = _squares_of(axis, held, as_it_was)
-        if np.all(rest <= (1.0 + share) * old) and rest.sum() < least:
-            best, least = f"{name} ({axis})", rest.sum()
-    return best
+        return _squares_of(axis, held, as_it_was)
+
+    blamed: list[str] = []
+    while len(blamed) < len(names):
+        trials = {name: left_with([*blamed, name]) for name in names if name not in blamed}
+        best = min(trials, key=lambda name: trials[name].sum())
+        if not trials[best].sum() < new.sum():
+            return ""
+        blamed, new = [*blamed, best], trials[best]
+        if np.all(new <= (1.0 + share) * old):
+            return f"{' and '.join(blamed)} ({axis})"
+    return ""
 
 
 def _squares_of(axis: str, held: Sequence[Evidence], residual: Callable[[Evidence], np.ndarray]) -> np.ndarray:
@@ -213,9 +223,9 @@ def _squares_of(axis: str, held: Sequence[Evidence], residual: Callable[[Evidenc
     return np.array(squares)[:, AXES.index(axis)]
 
 
-def _without_term(model: Model, axis: str, name: str) -> Model:
+def _without_terms(model: Model, axis: str, names: Sequence[str]) -> Model:
     axes = model.document["axes"]
-    terms = [{**term, "coefficient": 0.0} if term["name"] == name else term for term in axes[axis]["terms"]]
+    terms = [{**term, "coefficient": 0.0} if term["name"] in names else term for term in axes[axis]["terms"]]
     return Model({**model.document, "axes": {**axes, axis: {**axes[axis], "terms": terms}}})
 
 

@@ -174,25 +174,30 @@ def test_what_a_cause_adds_is_what_its_model_makes(name, values):
     assert whole_of(effect, one, VEHICLE, values) == pytest.approx(right, abs=close * np.abs(right).max())
 
 
-@pytest.mark.parametrize("stray, term", [(4e-4, "v^2 (Mz)"), (0.0, "")])
-def test_a_loss_that_a_term_of_the_model_makes_of_a_wind_names_the_term(stray, term):
+@pytest.mark.parametrize(
+    "stray, term", [({"v^2": 4e-4}, "v^2 (Mz)"), ({"u^2": 2e-4, "v^2": 4e-4}, "v^2 and u^2 (Mz)"), ({}, "")]
+)
+def test_a_loss_that_terms_of_the_model_make_of_a_wind_names_the_terms(stray, term):
     """A yaw moment with the square of a speed, taken up by chance, answers to a wind that yaws no vehicle."""
     axes = BASE.document["axes"]
     terms = [
         *axes["Mz"]["terms"],
-        {**axes["Mz"]["terms"][0], "name": "v^2", "expression": "v^2", "coefficient": stray, "given": True},
+        *(
+            {**axes["Mz"]["terms"][0], "name": n, "expression": n, "coefficient": c, "given": True}
+            for n, c in stray.items()
+        ),
     ]
     base = Model({**BASE.document, "axes": {**axes, "Mz": {**axes["Mz"], "terms": terms}}})
     wind = [(CAUSES["wind"], {"north": -2.0, "east": 2.0, "down": 0.0})]
     still = flight(1)
     measured = shown(made(wind), BASE, still) + still.measured - still.predicted
-    measured[:, 5] += 0.0 if stray else 1e-3 * still.columns["u"]  # lost is then nothing by a term
+    measured[:, 5] += 0.0 if stray else 1e-3 * still.columns["u"]
     predicted = base.predict_columns(still.columns)[list(AXES)].to_numpy()
     held = [replace(still, model=base, measured=measured, predicted=predicted)]
     lost = [Loss("forces", "Mz", 0.0, 1e-3, 2e-3), Loss("rollouts", "rate z", 0.5, 0.1, 0.2)]
     found = with_own_terms(lost, base, made(wind, base), held, 0.05)
-    assert [loss.term for loss in found] == [term, term]
-    assert found[1].sentence().endswith(f", by what the model's own term {term} makes of the causes" if term else "0.2")
+    assert [loss.terms for loss in found] == [term, term]
+    assert found[1].sentence().endswith(f", by what the causes do to the model's own {term}" if term else "0.2")
 
 
 def test_an_axis_that_does_not_count_neither_makes_nor_spoils_a_name():
