@@ -72,6 +72,14 @@ def test_how_much_worse_one_explanation_is_agrees_with_a_search_over_its_value()
         assert weigh(between, between_std, forces, std).apart[k] == pytest.approx(markers - imu, abs=1e-3)
 
 
+def test_a_component_that_no_explanation_fits_follows_the_others():
+    """Forces that a weak battery pulls aside by 6 mm in z made markers of an IMU that sits 9 mm behind."""
+    between, forces = np.array([-0.0096, -0.0003, 0.0096]), np.array([-0.0093, 0.0, 0.0036])
+    points = weigh(between, np.full(3, 5e-4), forces, np.array([3.8e-4, 2.7e-4, 7e-4]))
+    assert points.is_decided and (points.apart[0] > DECIDED) and abs(points.apart[2]) < DECIDED
+    np.testing.assert_array_equal(points.markers, 0.0)
+
+
 def test_both_points_are_moved_where_neither_alone_explains_what_is_seen():
     points = weigh(np.array([0.02, 0, 0]), STD, np.array([0.01, 0, 0]), STD)
     np.testing.assert_allclose(points.imu, [0.01, 0, 0])

@@ -5,7 +5,8 @@ markers at -r look
 alike. Forces see how far the IMU is from the cg: it feels wdot x r + w x (w x r) too much, whatever the capture says.
 The two together determine each point.
 
-Source: rigid-body kinematics; the weighing is least squares on the two estimates of each component.
+Source: rigid-body kinematics; the weighing is least squares on the two estimates of each component, with the scale
+factor of Birge, The calculation of errors by the method of least squares, Physical Review 40, 1932.
 """
 
 from collections.abc import Mapping, Sequence
@@ -68,9 +69,13 @@ def weigh(between: np.ndarray, between_std: np.ndarray, forces: np.ndarray, forc
     sharp = np.sqrt(forces_std**2 + (TAKEN_UP * between) ** 2 + ACROSS**2 * (between @ between))
     only_imu = (between - forces) ** 2 / (between_std**2 + sharp**2)  # the best common value left free
     only_markers = (forces / sharp) ** 2
-    apart = only_markers - only_imu  # positive: the markers alone fit worse
-    toward = np.where(np.abs(apart) > DECIDED, apart, apart.sum())
     both = (only_imu > DECIDED) & (only_markers > DECIDED)
+    apart = only_markers - only_imu  # positive: the markers alone fit worse
+    # where even the better explanations leave more than errors do, the errors are too small: two faults that need each
+    # other are not made of that
+    left = np.minimum(only_imu, only_markers)[~both]
+    apart = apart / max(1.0, float(left.mean()) if len(left) else 1.0)
+    toward = np.where(np.abs(apart) > DECIDED, apart, apart.sum())
     # where one value serves both estimates, the sharper of them counts more
     weight = between_std**-2.0 + sharp**-2.0
     common, common_std = (between * between_std**-2.0 + forces * sharp**-2.0) / weight, weight**-0.5
