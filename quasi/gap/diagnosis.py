@@ -141,7 +141,7 @@ def diagnose(
     silent = {
         n for n, e in effects.items() if e.level == "forces" and e.channels and set(e.channels) <= set(base.excluded)
     }
-    why = f"all that it acts on is {', '.join(base.excluded)}, which were not used"
+    why = f"only {', '.join(base.excluded)} could show this, and they were not used"
     lists["cannot_be_asked"] += [{"id": n, "why": why} for n in sorted(silent)] if not unable else []
     asked_of = {n: e for n, e in effects.items() if n not in silent}
     found, kept = None, []
