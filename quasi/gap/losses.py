@@ -172,6 +172,9 @@ def losses(
     return sorted(found, key=lambda loss: -loss.growth)
 
 
+MOST_BLAMED = 3  # own terms in the sentence of a loss: more point at no term, and each costs a prediction per term
+
+
 def with_own_terms(
     found: Sequence[Loss], base: Model, extended: Model, held: Sequence[Evidence], share: float
 ) -> list[Loss]:  # fmt: skip
@@ -206,7 +209,7 @@ def _own_terms(axis: str, base: Model, extended: Model, held: Sequence[Evidence]
         return _squares_of(axis, held, as_it_was)
 
     blamed: list[str] = []
-    while len(blamed) < len(names):
+    while len(blamed) < min(len(names), MOST_BLAMED):
         trials = {name: left_with([*blamed, name]) for name in names if name not in blamed}
         best = min(trials, key=lambda name: trials[name].sum())
         if not trials[best].sum() < new.sum():
