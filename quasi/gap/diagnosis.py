@@ -214,7 +214,7 @@ def diagnose(
         lists["notes"] += levels[level]["notes"]
     taken = [*(e["id"] for e in [*lower_effects, *named]), *(i for tie in ties for i in tie["ids"])]
     acting_on = {channel for e in named for channel in e["channels"]}
-    named_by_trim, tied_by_trim = trim_entries(trim, taken, bool(unable), acting_on)
+    named_by_trim, tied_by_trim = trim_entries(trim, taken, acting_on)
     lower_effects += named_by_trim
     ties += tied_by_trim
     trimmed = unnamed_change(trim, [*taken, *(e["id"] for e in named_by_trim)])

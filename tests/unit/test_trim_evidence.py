@@ -67,9 +67,9 @@ def test_a_weak_rotor_is_stated_with_its_effectiveness():
     effects, ties = trim_entries(found)
     assert [e["id"] for e in effects] == ["rotor_effectiveness"]
     assert not ties
-    # forces and moments of measured speeds were judged, or they name it themselves
-    assert trim_entries(found, unable=False) == ([], [])
+    # forces and moments name it themselves, or the measured speeds are wrong
     assert trim_entries(found, ["rotor_effectiveness"]) == ([], [])
+    assert trim_entries(found, ["rotor_speed_scale"]) == ([], [])
 
 
 def test_flights_of_commands_get_the_name_of_the_trim_and_a_page():
@@ -77,7 +77,7 @@ def test_flights_of_commands_get_the_name_of_the_trim_and_a_page():
     tables = {k: table(0.5 * s, i) for i, (k, s) in enumerate(asked.items())}
     tables = {k: t.rename(columns={f"w{i}": f"command{i}" for i in range(1, 5)}) for k, t in tables.items()}
     found = gather_trim(tables, ROLES_OF, SESSIONS, vehicle())
-    effects, _ = trim_entries(found, ["wind"], unable=False)
+    effects, _ = trim_entries(found, ["wind"])
     assert [e["id"] for e in effects] == ["rotor_effectiveness"]
     # estimated speeds, balanced flight by flight, are no trim
     level = {
@@ -147,17 +147,17 @@ def test_a_change_that_fits_no_cause_is_a_finding_and_no_agreement_where_forces_
 
 def test_more_command_for_the_same_thrust_may_be_the_battery():
     """It had been a tie of mass and thrust factor alone."""
-    _, ties = trim_entries(commanded([1.25] * 4), unable=False)
+    _, ties = trim_entries(commanded([1.25] * 4))
     assert [set(tie["ids"]) for tie in ties] == [{"mass", "thrust_factor", "battery_sag"}]
     assert [set(tie["ids"]) for tie in trim_entries(evidence([1.25] * 4))[1]] == [{"mass", "thrust_factor"}]
-    assert trim_entries(commanded([1.25] * 4), ["battery_sag"], unable=False) == ([], [])
+    assert trim_entries(commanded([1.25] * 4), ["battery_sag"]) == ([], [])
 
 
 def test_a_named_cause_of_the_vertical_force_leaves_no_second_reason_for_the_total_thrust():
     """A load on a string had been named together with a tie of mass and thrust factor."""
-    assert trim_entries(commanded([1.25] * 4), ["payload_swing"], False, {"Fx", "Fy", "Fz"}) == ([], [])
+    assert trim_entries(commanded([1.25] * 4), ["payload_swing"], {"Fx", "Fy", "Fz"}) == ([], [])
     rotor = commanded([1.0, 1.0, 1.0 / 0.7, 1.0])
-    assert [e["id"] for e in trim_entries(rotor, ["tether"], False, {"Fz"})[0]] == ["rotor_effectiveness"]
+    assert [e["id"] for e in trim_entries(rotor, ["tether"], {"Fz"})[0]] == ["rotor_effectiveness"]
 
 
 def test_a_rotor_that_the_trim_shows_is_reason_enough_for_less_thrust_in_all():

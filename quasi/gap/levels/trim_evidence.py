@@ -38,6 +38,7 @@ OF_MOMENTS = {"cg_offset": "cg", "rotor_tilt": "yaw"}  # causes of a constant mo
 TRIM = "trim"  # id of the finding
 NO_VOLTAGE = "its battery voltage is unknown, that of other flights is known"
 OF_TOTAL_THRUST = (*OF_THE_SAME_THRUST, SAG)  # of all rotors alike
+OF_TELEMETRY = ("rotor_order", "rotor_speed_scale")  # they change the measured speeds, and not the thrust
 
 
 @dataclass(frozen=True)
@@ -251,7 +252,7 @@ def contradicted_by_trim(
 def unnamed_change(evidence: TrimEvidence, taken: Collection[str]) -> list[dict[str, Any]]:
     """A finding where the trim changed, no cause that a trim shows fits it, and none is there.
 
-    Of flights with commands in place of measured speeds alone, as `trim_entries`: elsewhere a constant force or moment
+    Of flights with commands in place of measured speeds alone: elsewhere a constant force or moment
     of a flight counts as its own trim. taken  ids of the causes that have a name or stand in a tie
     """
     document = evidence.document
@@ -264,13 +265,15 @@ def unnamed_change(evidence: TrimEvidence, taken: Collection[str]) -> list[dict[
 
 
 def trim_entries(
-    evidence: TrimEvidence, taken: Sequence[str] = (), unable: bool = True, acting: Collection[str] = ()
+    evidence: TrimEvidence, taken: Sequence[str] = (), acting: Collection[str] = ()
 ) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
     """Effects and ties of diagnosis.json that the trim names alone.
 
-    Only where forces and moments were not judged (`unable`), or where the flights hold commands in place of measured
-    speeds; never where one of its causes has a name or stands in a tie already. A named cause of the vertical force,
-    such as a load that hangs, changes the total thrust of the trim as well: then the trim names no other reason for it.
+    Forces and moments ask whether a constant part is beyond what flights differ by, and a few sessions leave that open.
+    The trim knows by what healthy vehicles differ between sessions. Never where one of its causes has a name or stands
+    in a tie already, nor where measured speeds are wrong: then they changed and the thrust did not. A named cause of
+    the vertical force, such as a load that hangs, changes the total thrust of the trim as well: then the trim names no
+    other reason for it.
     taken  ids of these; acting  channels of the named causes of forces and moments
     """
     document = evidence.document
@@ -279,9 +282,7 @@ def trim_entries(
     ids, parameters, commands = list(document["causes"]), document["parameters"], document["source"] == "commands"
     if commands and "thrust_factor" in ids:
         ids.append("battery_sag")  # more command for the same thrust: a battery asks for it as propellers do
-    if set(taken) & set(ids) or ("Fz" in acting and all(TRIM_CHANNELS[i] == ["Fz"] for i in document["causes"])):
-        return [], []
-    if not unable and not commands:
+    if set(taken) & {*ids, *OF_TELEMETRY} or ("Fz" in acting and all(TRIM_CHANNELS[i] == ["Fz"] for i in document["causes"])):
         return [], []
     share = sum(document["probability"][name] for name in document["names"])
     if len(ids) == 1:
