@@ -168,7 +168,7 @@ def test_near_the_floor_less_speed_hovers_by_the_formula_up_to_its_limit(base):
     for height in (0.0, 0.03, 0.06, 0.2, 1.0):
         place = {"initial state conditions": {"position": [0.0, 0.0, -height]}}
         speeds = make_setup({**settings, **place}, model).start[13:17]
-        near = min(5.0 * (vehicle.radius / (4.0 * max(height, 0.2 * vehicle.radius))) ** 2, 0.6)
+        near = min(5.0 * (vehicle.radius / (4.0 * max(height, 0.5 * vehicle.radius))) ** 2, 0.6)
         np.testing.assert_allclose(speeds, 1500.0 * np.sqrt(1.0 - near), rtol=1e-4)
 
 

@@ -379,6 +379,20 @@ def test_a_curved_effect_starts_with_its_slope(ground):
         np.testing.assert_allclose(small, slope * 1e-4, rtol=1e-2, atol=1e-12)
 
 
+def test_a_take_off_does_not_hide_the_effect_of_the_ground(ground):
+    """Next to the floor rotors gain far less than the formula gives, and a few seconds there decided its factor."""
+    evidence = residual_of(ground, {})
+    vehicle, effect = vehicle_of(ground[2], evidence.mass), CATALOGUE["ground_effect"]
+    rows = len(evidence)
+    heights = np.where(np.arange(rows) % 10 == 0, 0.1, np.linspace(1.0, 3.0, rows)) * vehicle.radius  # of the hubs
+    place = {"roll": np.zeros(rows), "pitch": np.zeros(rows), "z": -heights - ground[0].hubs[0][2]}
+    near = replace(evidence, columns={**evidence.columns, **place})
+    thrust = vehicle.thrust * sum(near.columns[f"w{i}"] ** 2 for i in range(1, 5))
+    slope = -columns_of(effect, near, vehicle, {})["c"][:, 2] / thrust
+    gain = 0.04 * (vehicle.radius / np.maximum(heights, 0.5 * vehicle.radius)) ** 2  # of the thrust, as it levels off
+    assert slope @ gain / (slope @ slope) == pytest.approx(16 * 0.04, rel=0.1)
+
+
 def test_a_user_adds_a_cause_with_one_file(tmp_path):
     path = tmp_path / "sticky.py"
     path.write_text(

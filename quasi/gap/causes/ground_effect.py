@@ -2,13 +2,13 @@
 
 from quasi.gap.effect import Effect, Parameter, Terms, Values, Vehicle, hub_position, least, most, number, thrust_wrench
 
-NEAREST = 0.2  # rotor radii: below, the formula is not used
+LEAST_HUB_HEIGHT = 0.5  # rotor radii: nearer to the floor the formula gives far more than rotors make
 MOST_GROUND_EFFECT = 0.6  # of c (R/4h)^2: above, the formula runs towards its pole, where no rotor has been measured
 
 
 def _nearness(vehicle: Vehicle, rotor: int) -> str:
     """(R/4h)^2, h kept above its smallest value."""
-    kept = most(f"(-{hub_position(vehicle, rotor)[2]})", number(NEAREST * vehicle.radius))
+    kept = most(f"(-{hub_position(vehicle, rotor)[2]})", number(LEAST_HUB_HEIGHT * vehicle.radius))
     return f"({number(vehicle.radius)}/(4*{kept}))^2"
 
 
@@ -38,7 +38,7 @@ EFFECT = Effect(
     id="ground_effect",
     level="forces",
     sentence="the rotors make more thrust near the floor",
-    equation="T/T0 = 1/(1 - c (R/4h)^2), h height of each hub; levelling = c as far as lower rotors make more of it",
+    equation="T/T0 = 1/(1 - c (R/4h)^2), h hub height, from R/2 up; levelling = c as far as lower rotors make more",
     source="Cheeseman & Bennett, The effect of the ground on a helicopter rotor in forward flight, ARC R&M 3021, 1955",
     parameters={"c": Parameter("1", 0.0, "a", 0.0, 20.0, 3.0), "levelling": Parameter("1", 0.0, "a", 0.0, 20.0)},
     channels=("Fz", "Mx", "My"),
