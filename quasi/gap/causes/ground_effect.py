@@ -2,7 +2,9 @@
 
 from quasi.gap.effect import Effect, Parameter, Terms, Values, Vehicle, hub_position, least, most, number, thrust_wrench
 
-LEAST_HUB_HEIGHT = 0.5  # rotor radii: nearer to the floor the formula gives far more than rotors make
+# Rotor radii. By measurements (Prouty, Helicopter Performance, Stability, and Control, 1986, chapter 1) the induced
+# velocity falls to 0.72 at R/2, where the formula gives 0.75, and levels off: 0.63 at R/4, where the formula gives 0.
+LEAST_HUB_HEIGHT = 0.5
 MOST_GROUND_EFFECT = 0.6  # of c (R/4h)^2: above, the formula runs towards its pole, where no rotor has been measured
 
 

@@ -38,7 +38,7 @@ OF_MOMENTS = {"cg_offset": "cg", "rotor_tilt": "yaw"}  # causes of a constant mo
 TRIM = "trim"  # id of the finding
 NO_VOLTAGE = "its battery voltage is unknown, that of other flights is known"
 OF_TOTAL_THRUST = (*OF_THE_SAME_THRUST, SAG)  # of all rotors alike
-OF_TELEMETRY = ("rotor_order", "rotor_speed_scale")  # they change the measured speeds, and not the thrust
+OF_WRONG_SPEEDS = ("rotor_order", "rotor_speed_scale")  # they change the measured speeds, and not the thrust
 
 
 @dataclass(frozen=True)
@@ -282,7 +282,7 @@ def trim_entries(
     ids, parameters, commands = list(document["causes"]), document["parameters"], document["source"] == "commands"
     if commands and "thrust_factor" in ids:
         ids.append("battery_sag")  # more command for the same thrust: a battery asks for it as propellers do
-    if set(taken) & {*ids, *OF_TELEMETRY} or ("Fz" in acting and all(TRIM_CHANNELS[i] == ["Fz"] for i in document["causes"])):
+    if set(taken) & {*ids, *OF_WRONG_SPEEDS} or ("Fz" in acting and all(TRIM_CHANNELS[i] == ["Fz"] for i in document["causes"])):
         return [], []
     share = sum(document["probability"][name] for name in document["names"])
     if len(ids) == 1:
