@@ -282,7 +282,8 @@ def trim_entries(
     ids, parameters, commands = list(document["causes"]), document["parameters"], document["source"] == "commands"
     if commands and "thrust_factor" in ids:
         ids.append("battery_sag")  # more command for the same thrust: a battery asks for it as propellers do
-    if set(taken) & {*ids, *OF_WRONG_SPEEDS} or ("Fz" in acting and all(TRIM_CHANNELS[i] == ["Fz"] for i in document["causes"])):
+    known = "Fz" in acting and all(TRIM_CHANNELS[i] == ["Fz"] for i in document["causes"])
+    if known or set(taken) & {*ids, *OF_WRONG_SPEEDS}:
         return [], []
     share = sum(document["probability"][name] for name in document["names"])
     if len(ids) == 1:
