@@ -405,7 +405,7 @@ def summed_up(diagnosis: Mapping[str, Any], known: Mapping[str, Effect]) -> list
     roles, effects = diagnosis["flights"], diagnosis["effects"]
     limits = [s for s in [(diagnosis.get("base model") or {}).get("sentence")] if s]
     worse = [_sentence(loss["text"]) for loss in (diagnosis.get("losses") or [])[:1]]
-    texts = [*limits, headline(diagnosis, known)] if effects else list(limits)
+    texts = [headline(diagnosis, known)] if effects else []
     if len(effects) == 1:  # the headline contains the rest
         since = since_of(effects[0])
         if diagnosis["ties"] or diagnosis["unexplained"]:  # which the sentence ended with
@@ -423,7 +423,7 @@ def summed_up(diagnosis: Mapping[str, Any], known: Mapping[str, Effect]) -> list
     if len(diagnosis["unexplained"]) > 3:
         texts.append(f"{len(diagnosis['unexplained']) - 3} more residuals are listed in the report.")
     texts += [rollout_sentence(diagnosis), *worse] if effects else []
-    nothing, missing = texts == limits, asked_in_vain(diagnosis, known)
+    nothing, missing = not texts, asked_in_vain(diagnosis, known)
     if nothing and diagnosis.get("verdict") == "not judged":
         why = unasked(diagnosis, known)
         texts.append(_sentence(f"{_sound(diagnosis, known)}forces and moments could not be asked: {why}"))
@@ -437,6 +437,7 @@ def summed_up(diagnosis: Mapping[str, Any], known: Mapping[str, Effect]) -> list
             f"{100 * diagnosis['material share']:.0f} % of the error that could be removed."
         )
     texts = [t for t in texts if t]
+    texts[1:1] = limits  # the first text is what a pilot reads first
     if not any("removable" in t or "noise floor" in t for t in texts):
         return texts
     levels = {e["level"] == "forces" for e in effects} | ({True} if diagnosis["unexplained"] else set())
