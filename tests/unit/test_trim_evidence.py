@@ -21,6 +21,7 @@ from quasi.gap.levels.trim_evidence import (
     unnamed_change,
     why_rotor_is_enough,
 )
+from quasi.gap.report.figures import trim_figure
 from quasi.gap.report.next_steps import steps
 from quasi.gap.report.page import page
 from quasi.gap.report.wording import summary
@@ -67,6 +68,11 @@ def test_a_weak_rotor_is_stated_with_its_effectiveness():
     effects, ties = trim_entries(found)
     assert [e["id"] for e in effects] == ["rotor_effectiveness"]
     assert not ties
+    (panel,) = trim_figure(found.document).axes
+    drawn = {line.get_label(): line.get_ydata().reshape(-1, 4) for line in panel.lines if "flights" in line.get_label()}
+    assert np.allclose(drawn["reference flights"], 0.0, atol=3.0)
+    assert np.allclose(drawn["compared flights"], [[0.0, 0.0, 100 / 3, 0.0]], atol=3.0)
+    assert trim_figure(evidence().document) is None
     # forces and moments name it themselves, or the measured speeds are wrong
     assert trim_entries(found, ["rotor_effectiveness"]) == ([], [])
     assert trim_entries(found, ["rotor_speed_scale"]) == ([], [])

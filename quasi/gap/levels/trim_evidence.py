@@ -77,12 +77,16 @@ def gather_trim(
         thrust = steady.thrust / (weight if np.isfinite(weight) and weight > 0.0 else 1.0)
         flights.append(Flight(key, thrust, steady.volts, sessions.get(key, ""), roles[key] == "compared"))
         facts[key] = {"seconds": steady.seconds, "contacts": steady.contacts, "source": steady.source}
+        facts[key]["role"] = roles[key]
     document: dict[str, Any] = {"word": "not asked", "flights": facts, "left out": lacking}
     missing = [r for r in ("reference", "compared") if not any(f.is_compared is (r == "compared") for f in flights)]
     if missing or len({f["source"] for f in facts.values()}) > 1:
         why = f"no {missing[0]} flight has a steady part" if missing else "some flights hold speeds, others commands"
         why += f", or {NO_VOLTAGE}" if missing and NO_VOLTAGE in lacking.values() else ""
         return TrimEvidence(document | {"text": f"The trim in steady flight was not compared: {why}."})
+    usual = np.mean([np.log(f.thrust) for f in flights if not f.is_compared], axis=0)
+    for flight in flights:
+        facts[flight.key]["asked"] = np.expm1(np.log(flight.thrust) - usual).tolist()
     geometry = geometry_of(np.asarray(vehicle.hubs)[:, :2], np.asarray(vehicle.spin))
     found = compare(flights, hypotheses(geometry), geometry)
     word, names = conclude(found)

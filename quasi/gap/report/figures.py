@@ -40,13 +40,17 @@ STATE_WORDS = {
 ERROR_SCALES = {"u": 1.0, "v": 1.0, "w": 1.0, "roll": 0.2, "pitch": 0.2, "z": 0.5}  # errors that are about as bad
 
 
-def figures(tables: Mapping[str, pd.DataFrame]) -> dict[str, Figure]:
-    """{name: figure} of what the tables hold; what is not finite is not drawn."""
+def figures(tables: Mapping[str, pd.DataFrame], trim: Mapping[str, Any] | None = None) -> dict[str, Figure]:
+    """{name: figure} of what the tables and the trim hold; what is not finite is not drawn.
+
+    trim  "hover trim" of diagnosis.json
+    """
     tables = {name: table.replace([np.inf, -np.inf], np.nan) for name, table in tables.items()}
     where = tables.get("forces_where")
     where = with_errors(where, tables.get("forces_residuals")) if where is not None and len(where) else None
     drawn = {
         "glance": glance_figure(where, tables.get("rollouts_overlays")),
+        "trim": trim_figure(trim or {}),
         "unexplained": unexplained_figure(tables.get("forces_unexplained")),
         "where": where_figure(where),
         "spectra": spectra_figure(tables.get("forces_spectra")),
@@ -74,6 +78,30 @@ def glance_figure(where: pd.DataFrame | None, overlays: pd.DataFrame | None) -> 
     right.set_title(f"simulated from one measured state, {falls['flight'].iloc[0]}", fontsize=FONT_SIZE)
     for panel in (left, right):
         panel.legend(fontsize=FONT_SIZE, frameon=False)
+    return figure
+
+
+def trim_figure(trim: Mapping[str, Any]) -> Figure | None:
+    """What each rotor is asked for in steady flight, flight by flight, and the change with its 95 % interval; None
+    where the trim shows no change. trim  "hover trim" of diagnosis.json"""
+    if trim.get("word") not in ("named", "tied", "changed"):
+        return None
+    figure = Figure(figsize=(FIGURE_WIDTH, 3.0), layout="constrained")
+    panel = figure.subplots()
+    change, std = (np.array(trim["change"][k]) for k in ("value", "std"))
+    rotors = np.arange(1, len(change) + 1)
+    low, high = (100.0 * np.expm1(change + side * 1.96 * std) for side in (-1.0, 1.0))
+    middle = 100.0 * np.expm1(change)
+    drawn = {"fmt": "_", "ms": 18, "capsize": 6, "color": DARK_GREY, "zorder": 3}
+    panel.errorbar(rotors, middle, [middle - low, high - middle], label="change, 95 % interval", **drawn)
+    for role, color, side in (("reference", LIGHT_GREY, -0.15), ("compared", RED, 0.15)):
+        asked = [100.0 * np.array(f["asked"]) for f in trim["flights"].values() if f["role"] == role]
+        at = np.tile(rotors + side, len(asked))
+        panel.plot(at, np.ravel(asked), "o", ms=5, color=color, label=f"{role} flights")
+    panel.axhline(0.0, color=LIGHT_GREY, lw=0.8, zorder=1)
+    panel.set_xticks(rotors, [f"rotor {i}" for i in rotors])
+    _labelled(panel, "", "thrust asked for, change in %")
+    panel.legend(fontsize=FONT_SIZE, frameon=False)
     return figure
 
 

@@ -14,6 +14,7 @@ from quasi.gap.entries import ALONE, STRONGEST, WEAKER
 from quasi.gap.levels.corrections import corrected_at_import
 from quasi.gap.levels.rollouts.open_loop import ERROR_UNITS
 from quasi.gap.levels.sensors_and_drive import CHANNEL_UNITS as UNITS_OF
+from quasi.gap.report.captions import CAPTIONS
 from quasi.gap.report.localised import table_of
 from quasi.gap.report.names import alternatives, listed, name_of
 from quasi.gap.report.next_steps import in_model, steps
@@ -50,26 +51,6 @@ TAKEN_OFF = (
     "and after alike: the share of the squared error above the floor that the cause removes."
 )
 LEVEL_TITLES = {"sensors": "sensors against capture", "drive": "rotor speeds against commands"}
-CAPTIONS = {
-    "glance": "Left: the error of the model where it falls most, before (pale red) and after (blue) the extension, "
-    "with standard errors, compared and held-out flights together. Right: a held-out flight (black) and what the "
-    "simulation makes of its rotor speeds, in a typical window: that of the median gain, where windows count by how "
-    "much the extension changes them; the best and the worst one stand below. Where causes are named that all flights "
-    "have, the model's own terms were fitted anew with them, "
-    "and the gain is that of both.",
-    "overlays": "Simulated from measured states with measured rotor speeds, before (pale red) and after (blue) the "
-    "extension, with the flight (black); where only blue is seen with a red rim, nothing has changed.",
-    "horizons": "Errors at the end of simulations of held-out flights over their length, before (pale red) and after "
-    "(blue); dashed where commands drove the rotors. The lower panels are along the axes. Grey: what the model's terms "
-    "and all causes, fitted to the other flights, leave. The table rollouts_errors holds all lines.",
-    "unexplained": "What no cause explains, where it lives: mean errors with standard errors (black) and the smooth "
-    "function that stands for them (red), compared and held-out flights together.",
-    "where": "Mean error of forces and moments where it was found, compared and held-out flights together, before "
-    "(pale red) and after (blue), with standard errors of pieces of 2 s where there are enough. Shown are the places "
-    "where the two differ most and where the error stands out most from these; the table forces_where holds all "
-    "channels and places.",
-    "spectra": "Power of the errors over frequency, before (pale red) and after (blue) the extension.",
-}
 
 
 def page(
@@ -90,7 +71,7 @@ def page(
     shown = {n: report.render_picture(pictures[n], caption) for n, caption in CAPTIONS.items() if n in pictures}
     sections = [
         render_style(),
-        shown.get("glance", ""),
+        shown.get("glance") or shown.get("trim", ""),
         report.render_section("What to do next", report.render_list(steps(diagnosis, effects))),
         report.render_section("What is wrong", _forces(diagnosis), _lower(diagnosis)),
         report.render_section("Why", *(_cause(e, effects) for e in diagnosis["effects"]), _rivals(diagnosis, effects)),
@@ -101,7 +82,9 @@ def page(
             shown.get("unexplained", ""),
         ),
         report.render_section(
-            "Trim in steady flight", report.render_list([diagnosis.get("hover trim", {}).get("text", "")])
+            "Trim in steady flight",
+            report.render_list([diagnosis.get("hover trim", {}).get("text", "")]),
+            shown.get("trim", "") if "glance" in shown else "",
         ),
         report.render_section("The extended model", _extended(diagnosis)),
         report.render_section(
