@@ -3,19 +3,16 @@
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
 
 from quasi.errors import DataError
-from quasi.gap.base_model import Worth, by_role, faked_axes, refit_loses, worth_after
-from quasi.gap.catalogue import in_room
 from quasi.gap.constant_loads import constant_force_ties, in_ties
-from quasi.gap.effect import Effect, as_flown, room_of, vehicle_of
+from quasi.gap.effect import Effect, as_flown
 from quasi.gap.entries import (
     candidates,
-    deviations,
     gain_entry,
     lower_effect,
     of_late_telemetry,
@@ -26,41 +23,37 @@ from quasi.gap.flights.covariates import EVERYWHERE, HEADING
 from quasi.gap.flights.evidence import RATE, Evidence
 from quasi.gap.flights.gathering import gather_all
 from quasi.gap.flights.level import Flown
-from quasi.gap.flights.sessions import session_sentence
 from quasi.gap.levels import rotor_order
 from quasi.gap.levels.corrections import corrected_at_import
 from quasi.gap.levels.forces import polynomial_baseline
 from quasi.gap.levels.forces.case import Case
 from quasi.gap.levels.forces.effect_size import acting
 from quasi.gap.levels.forces.error_reduction import Squares, after, removed, wrench_squares
-from quasi.gap.levels.forces.estimated_speeds import add_battery, with_estimated_speeds
+from quasi.gap.levels.forces.estimated_speeds import add_battery
 from quasi.gap.levels.forces.findings import gusts
-from quasi.gap.levels.forces.held_out import best_wrong, everything, gain_axes, made_of
+from quasi.gap.levels.forces.held_out import best_wrong, everything, gain_axes
 from quasi.gap.levels.forces.identify import Found, examine
 from quasi.gap.levels.forces.tables import wrench_tables
 from quasi.gap.levels.rollouts import commanded, error_reduction, split_flights
 from quasi.gap.levels.rollouts.confirmation import Settled
 from quasi.gap.levels.rollouts.open_loop import HORIZON, MOVED_BY
-from quasi.gap.levels.sensors_and_drive import rate_of, reject_immaterial
 from quasi.gap.levels.trim_evidence import (
     contradicted_by_trim,
-    gather_trim,
     trim_entries,
     unnamed_change,
     why_rotor_is_enough,
 )
 from quasi.gap.losses import correction_matters, drive_losses, with_own_terms
 from quasi.gap.materiality import Cause
+from quasi.gap.preparation import LOWER_LEVELS, Prepared, prepare
 from quasi.gap.probability import add_probabilities
 from quasi.gap.report.wording import summary
 from quasi.gap.scores import scored
 from quasi.gap.selection import SUSPECT
 from quasi.gap.verdict import judge_causes, refused_changes, with_errors_beyond_references
-from quasi.model.extensions import configured_mass
 from quasi.model.model import AXES, Model
 
 SCHEMA = "quasi.gap/3"
-SAME_MASS = 1e-3  # share, resolution of a scale
 
 
 @dataclass
@@ -96,136 +89,205 @@ def diagnose(
     lost         sentences on flights that could not be used
     references   "given", "training" where flights that made the model stand for reference flights, "none"
     """
-    room, share = room_of(settings["room"]), settings["material share"]
-    vehicle, effects = vehicle_of(model, room=room), in_room(effects, room)
-    sessions = settings.get("sessions") or {}
-    evidence = {k: replace(e, session=sessions.get(k, "")) for k, e in evidence.items()}
-    own = made_of(model, [e for k, e in evidence.items() if roles[k] != "held out"])
-    faked = faked_axes(calibration.get("causes", ()), effects) if own else ()
-    loses = bool(faked) and refit_loses(model, by_role(evidence, roles), flights, vehicle, settings, faked)
-    corrected = () if loses else faked
-    base = worth_after(model, by_role(evidence, roles)["reference"], corrected).of_measured(evidence.values())
-    positions = tuple(AXES.index(a) for a in base.excluded)
-    evidence = {k: replace(e, excluded=positions) for k, e in evidence.items()}
-    groups = by_role(evidence, roles)
-    learning, held = [*groups["reference"], *groups["compared"]], groups["held out"]
-    compared = [False] * len(groups["reference"]) + [True] * len(groups["compared"])
-    levels, order = calibration["levels"], calibration.get("rotor order")
-    effects, without_speeds = with_estimated_speeds(effects, model, [*learning, *held])
-    asked_of_forces = {n for n, e in effects.items() if e.level == "forces"}
-    if order:
-        lower = ([rotor_order.reorder(f, order) for f in lower[0]], lower[1])
-    rate, unheard = (rate_of(settings["false alarm rate"], sum(compared), n) for n in (len(held), 0))
-    reject_immaterial(levels, *lower, share, unheard / rate)
-    lists: dict[str, Any] = {
-        "candidates": [],
-        "unexplained": [],
-        "cannot_be_asked": without_speeds,
-        "notes": [*lost, *([rotor_order.note_of(order)] if order else [])],
+    given = prepare(model, calibration, evidence, flights, roles, effects, settings, lower, lost)
+    forces = _ask_forces(given, name)
+    extension = _extend(given, forces, name)
+    named = _named(given, forces, extension)
+    below, shifted = _of_levels_below(given, extension.gap)
+    ties = _ties(given, forces, extension, [*below, *named], named)
+    _add_levels_below(given)
+    taken = [*(e["id"] for e in [*below, *named]), *(i for tie in ties for i in tie["ids"])]
+    by_trim, tied_by_trim = trim_entries(given.case.trim, taken, {c for e in named for c in e["channels"]})
+    trimmed = unnamed_change(given.case.trim, [*taken, *(e["id"] for e in by_trim)])
+    entries = {"effects": [*below, *by_trim, *named], "ties": [*ties, *tied_by_trim]}
+    findings = [
+        *trimmed,
+        *(f for level in LOWER_LEVELS for f in given.levels[level]["findings"]),
+        *shifted,
+        *forces.restless,
+    ]
+    result = _document(given, forces, extension, entries, findings, bool(trimmed)) | {
+        "flights": dict(roles),
+        "name": name,
+        "calibration": {k: calibration[k] for k in ("compared", "reference", "causes", "notes") if k in calibration},
     }
-    lists["notes"] += [s for s in [session_sentence(sessions, roles)] if s]
-    lists["notes"] += _weighed(model, [*groups["compared"], *held])
-    if loses:
-        lists["notes"].append(
-            "fitting the model's own terms anew to the corrected flights would make held-out flights worse; the "
-            "model keeps its terms"
-        )
-    # what import corrects is no part of the model: it would be taken off a second time
-    driving = [e for e in levels["drive"]["effects"] if not corrected_at_import(e["id"], "drive")]
-    drive = [(effects[e["id"]], deviations(effects[e["id"]], e["parameters"]))
-             for e in driving if e["id"] in effects and effects[e["id"]].extension]  # fmt: skip
-    always = [e["id"] for e in driving if e["since"] == "always"]
-    trim = gather_trim(flights, roles, sessions, vehicle, {k: e.mass for k, e in evidence.items()})
-    case = Case(model, effects, vehicle, learning, compared, held, flights, drive, corrected, settings, always, trim)
-    unable = _unable(groups, roles, lost) or _unusable(base)
-    silent = {
-        n for n, e in effects.items() if e.level == "forces" and e.channels and set(e.channels) <= set(base.excluded)
-    }
-    why = f"only {', '.join(base.excluded)} could show this, and they were not used"
-    lists["cannot_be_asked"] += [{"id": n, "why": why} for n in sorted(silent)] if not unable else []
-    asked_of = {n: e for n, e in effects.items() if n not in silent}
-    found, kept = None, []
-    lives, restless = pd.DataFrame(), []
-    settled = Settled([], [], {}, {}, [])
-    if unable:
-        asked = [n for n, e in effects.items() if e.level == "forces"]
-        lists["cannot_be_asked"] += [{"id": n, "why": unable} for n in asked]
-    else:
-        found = examine(
-            learning, compared, held, model, asked_of, vehicle, rate, share, settings["extended model ID"],
-            f"gap {name}", unheard, partial(contradicted_by_trim, trim, mass=vehicle.mass),
-        )  # fmt: skip
-        settled, remains = judge_causes(case, found)
-        kept = settled.causes
-        lists["notes"] += settled.notes
-        lists["candidates"] += candidates(found, settled, share)
-        lists["cannot_be_asked"] += [{"id": n, "why": why} for n, why in found.lacking.items()]
-    again = case.anew(kept)
-    document = case.extended(kept, found and found.study, f"gap {name}", again)
+    _since_when(result, references)
+    add_probabilities(result)
+    result["summary"] = summary(result, given.case.effects)
+    tables = wrench_tables(given.evidence, roles, extension.left)
+    if len(forces.lives):
+        tables["forces_unexplained"] = forces.lives
+    tables |= {k: t for k, t in extension.rolled.items() if isinstance(t, pd.DataFrame)}
+    return Diagnosis(result, extension.document, tables, forces.found)
+
+
+class Forces(NamedTuple):
+    """What the search in forces and moments gave.
+
+    found, settled  what it found and what is kept of it, None and empty where it could not be asked; lives  table of
+    what no cause explains along its places; restless  findings on gusts
+    """
+
+    found: Found | None
+    settled: Settled
+    lives: pd.DataFrame
+    restless: list[dict[str, Any]]
+
+
+class Extension(NamedTuple):
+    """The extended model and what it gains.
+
+    document   of the extended model; model  made of it; anew  axes whose own terms were fitted anew
+    left       flight -> (n, 6), its residual; rolled  its roll-outs; halves  held-out flights split in two
+    gap, scores, errors  see `quasi.gap.scores.scored`
+    """
+
+    document: dict[str, Any]
+    model: Model
+    anew: Collection[str]
+    left: Callable[[Evidence], np.ndarray]
+    rolled: Mapping[str, Any]
+    halves: Any
+    gap: dict[str, Any]
+    scores: dict[str, Any]
+    errors: tuple[Squares, Squares, np.ndarray] | None
+
+
+def _ask_forces(given: Prepared, name: str) -> Forces:
+    """Search forces and moments for causes, and settle what is found; the lists of the diagnosis are filled."""
+    case, lists = given.case, given.lists
+    if given.unable:
+        asked = [n for n, e in case.effects.items() if e.level == "forces"]
+        lists["cannot_be_asked"] += [{"id": n, "why": given.unable} for n in asked]
+        return Forces(None, Settled([], [], {}, {}, []), pd.DataFrame(), [])
+    share = case.settings["material share"]
+    found = examine(
+        case.learning, case.compared, case.held, case.model, given.asked_of, case.vehicle, given.rate, share,
+        case.settings["extended model ID"], f"gap {name}", given.unheard,
+        partial(contradicted_by_trim, case.trim, mass=case.vehicle.mass),
+    )  # fmt: skip
+    settled, (unexplained, lives, *_) = judge_causes(case, found)
+    lists["notes"] += settled.notes
+    lists["candidates"] += candidates(found, settled, share)
+    lists["cannot_be_asked"] += [{"id": n, "why": why} for n, why in found.lacking.items()]
+    restless = []
+    if not any(u["channel"][0] == "F" for u in unexplained):
+        restless = gusts(found.study, case.compared, [c.effect.id for c in settled.causes])
+    lists["unexplained"] = with_errors_beyond_references(unexplained, restless, case, settled, found)
+    if not (lists["unexplained"] or restless or settled.causes or found.ties):
+        lists["unexplained"] += refused_changes(case, found)
+    return Forces(found, settled, lives, restless)
+
+
+def _extend(given: Prepared, forces: Forces, name: str) -> Extension:
+    """Extend the model by the causes that are kept, and measure what that gains on held-out flights."""
+    case, found, kept = given.case, forces.found, forces.settled.causes
+    settings, study = case.settings, forces.found and forces.found.study
+    anew = case.anew(kept)
+    document = case.extended(kept, study, f"gap {name}", anew)
     extended = Model(document, f"model {settings['extended model ID']}")
-    left_of = case.left(extended, kept, found and found.study, again, roles)
     floor = None
     if found is not None:
-        at = found.study.values[compared.index(True)]
-        floor = everything(found.study, effects, vehicle, compared, at)
-    yardsticks = _yardsticks(case, found, kept, levels, floor)
-    rolled = error_reduction.score(model, extended, flights, held, settings["horizons"], yardsticks)
-    causes = [*((c.effect, c.value) for c in kept), *drive]
-    alike = groups["compared"] or learning  # what changed is no noise of the reference flights
-    own = split_flights.judge(held, flights, alike, model, extended, causes, vehicle, settings["horizons"])
-    gap, scores, errors = scored(model, extended, found, kept, held, yardsticks, rolled, lower, document)
-    flown = as_flown(vehicle, groups["compared"])
-    named = [wrench_effect(c, flown, settled) for c in kept]
+        at = study.values[case.compared.index(True)]
+        floor = everything(study, case.effects, case.vehicle, case.compared, at)
+    yardsticks = _yardsticks(case, found, kept, given.levels, floor)
+    horizons = settings["horizons"]
+    rolled = error_reduction.score(case.model, extended, case.tables, case.held, horizons, yardsticks)
+    causes = [*((c.effect, c.value) for c in kept), *case.drive]
+    alike = given.groups["compared"] or case.learning  # what changed is no noise of the reference flights
+    halves = split_flights.judge(
+        case.held, case.tables, alike, case.model, extended, causes, case.vehicle, horizons
+    )  # fmt: skip
+    judged = scored(case.model, extended, found, kept, case.held, yardsticks, rolled, given.lower, document)
+    left = case.left(extended, kept, study, anew, given.roles)
+    return Extension(document, extended, anew, left, rolled, halves, *judged)
+
+
+def _named(given: Prepared, forces: Forces, extension: Extension) -> list[dict[str, Any]]:
+    """Entries of the causes of forces and moments that are kept, with what each is worth."""
+    case, found, kept = given.case, forces.found, forces.settled.causes
+    flown = as_flown(case.vehicle, given.groups["compared"])
+    named = [wrench_effect(c, flown, forces.settled) for c in kept]
+    if found is None:
+        return named
     for effect in named:
         effect["judged"] = not any((effect["id"], effect["since"]) == (c.effect.id, c.since) for c in found.unjudged)
-    if found is not None:
-        _gains(case, named, kept, found, rolled, again, errors)
-        for effect, cause in zip(named, kept):
-            effect["acts"] = acting(cause, [*groups["compared"], *held], vehicle, effect["gain channel"])
-        lists["unexplained"], lives, *_ = remains
-        if not any(u["channel"][0] == "F" for u in lists["unexplained"]):
-            restless = gusts(found.study, compared, [c.effect.id for c in kept])
-        lists["unexplained"] = with_errors_beyond_references(lists["unexplained"], restless, case, settled, found)
-        if not (lists["unexplained"] or restless or kept or found.ties):
-            lists["unexplained"] += refused_changes(case, found)
-    lower_effects = [lower_effect(e, level, gap) for level in ("sensors", "drive") for e in levels[level]["effects"]]
-    lower_effects, shifted = of_late_telemetry(lower_effects)
-    corrected_ones = [e for e in lower_effects if corrected_at_import(e["id"], e["level"])]
-    if corrected_ones and not _correction_matters(model, lower, settings, positions):
-        for effect in corrected_ones:
+    _gains(case, named, kept, found, extension.rolled, extension.anew, extension.errors)
+    for effect, cause in zip(named, kept):
+        effect["acts"] = acting(cause, [*given.groups["compared"], *case.held], case.vehicle, effect["gain channel"])
+    return named
+
+
+def _of_levels_below(given: Prepared, gap: Mapping[str, Any]) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
+    """Entries of causes of sensors, drive and rotor order; and findings that late telemetry makes of some."""
+    below = [lower_effect(e, level, gap) for level in LOWER_LEVELS for e in given.levels[level]["effects"]]
+    below, shifted = of_late_telemetry(below)
+    corrected = [e for e in below if corrected_at_import(e["id"], e["level"])]
+    excluded = tuple(AXES.index(a) for a in given.base.excluded)
+    if corrected and not _correction_matters(given.case.model, given.lower, given.case.settings, excluded):
+        for effect in corrected:
             effect["explains"] = False
-    lower_effects += [rotor_order.effect_of(order)] if order else []
+    return below + ([rotor_order.effect_of(given.order)] if given.order else []), shifted
+
+
+def _ties(
+    given: Prepared, forces: Forces, extension: Extension, effects: Sequence[Mapping[str, Any]],
+    named: Sequence[Mapping[str, Any]],
+) -> list[dict[str, Any]]:  # fmt: skip
+    """Ties of all levels, and those of constant forces, which then are not unexplained any more.
+
+    effects  entries of all levels; named  those of forces and moments
+    """
+    case, found, lists = given.case, forces.found, given.lists
     # forces and moments settle a tie of the levels below by naming one of it
     named_ids = {e["id"] for e in named}
-    ties = [t for level in ("sensors", "drive") for t in levels[level]["ties"] if not named_ids & set(t["ids"])]
-    ties += [tie_entry(since, tie, effects, flown) for since, tie in (found.ties if found else [])]
-    ties = add_battery(ties, effects)
-    if found is not None:
-        taken = [*(e["id"] for e in [*lower_effects, *named]), *(i for tie in ties for i in tie["ids"])]
-        taken += ["rotor_effectiveness"] if why_rotor_is_enough(trim) else []
-        ties += constant_force_ties(
-            groups["compared"], groups["reference"], left_of, taken, effects,
-            min(found.level.values()), share, _constants(lists["unexplained"]), _suspected(lists["candidates"]),
-        )  # fmt: skip
-        lists["unexplained"] = [u for u in lists["unexplained"] if not in_ties(u, ties)]
-    for level in ("sensors", "drive"):
-        lists["candidates"] += levels[level]["candidates"]
-        lists["cannot_be_asked"] += [c for c in levels[level]["cannot_be_asked"] if c["id"] not in asked_of_forces]
-        lists["notes"] += levels[level]["notes"]
-    taken = [*(e["id"] for e in [*lower_effects, *named]), *(i for tie in ties for i in tie["ids"])]
-    acting_on = {channel for e in named for channel in e["channels"]}
-    named_by_trim, tied_by_trim = trim_entries(trim, taken, acting_on)
-    lower_effects += named_by_trim
-    ties += tied_by_trim
-    trimmed = unnamed_change(trim, [*taken, *(e["id"] for e in named_by_trim)])
-    lost_by = [*with_own_terms(settled.losses, model, extended, held, share), *drive_losses(gap)]
-    result = {
+    ties = [t for level in LOWER_LEVELS for t in given.levels[level]["ties"] if not named_ids & set(t["ids"])]
+    flown = as_flown(case.vehicle, given.groups["compared"])
+    ties += [tie_entry(since, tie, case.effects, flown) for since, tie in (found.ties if found else [])]
+    ties = add_battery(ties, case.effects)
+    if found is None:
+        return ties
+    taken = [*(e["id"] for e in effects), *(i for tie in ties for i in tie["ids"])]
+    taken += ["rotor_effectiveness"] if why_rotor_is_enough(case.trim) else []
+    ties += constant_force_ties(
+        given.groups["compared"], given.groups["reference"], extension.left, taken, case.effects,
+        min(found.level.values()), case.settings["material share"], _constants(lists["unexplained"]),
+        _suspected(lists["candidates"]),
+    )  # fmt: skip
+    lists["unexplained"] = [u for u in lists["unexplained"] if not in_ties(u, ties)]
+    return ties
+
+
+def _add_levels_below(given: Prepared) -> None:
+    """Add to the lists of the diagnosis what sensors and drive have to report."""
+    of_forces = {n for n, e in given.case.effects.items() if e.level == "forces"}
+    for level in LOWER_LEVELS:
+        entries = given.levels[level]
+        given.lists["candidates"] += entries["candidates"]
+        given.lists["cannot_be_asked"] += [c for c in entries["cannot_be_asked"] if c["id"] not in of_forces]
+        given.lists["notes"] += entries["notes"]
+
+
+def _document(
+    given: Prepared, forces: Forces, extension: Extension, entries: Mapping[str, Any], findings: Sequence[Any],
+    trimmed: bool,
+) -> dict[str, Any]:  # fmt: skip
+    """The document of the diagnosis, without what a caller knows.
+
+    entries  effects and ties; trimmed  whether the trim changed without a name
+    """
+    case, base, lists = given.case, given.base, given.lists
+    settings, effects, ties = case.settings, entries["effects"], entries["ties"]
+    lost_by = [
+        *with_own_terms(forces.settled.losses, case.model, extension.model, case.held, settings["material share"]),
+        *drive_losses(extension.gap),
+    ]
+    left = [*lists["unexplained"], *([trimmed] if trimmed else [])]
+    return {
         "schema": SCHEMA,
-        "gap": gap,
+        "gap": extension.gap,
         "model": settings["model"],
-        "verdict": verdict_of(
-            [*lower_effects, *named], ties, [*lists["unexplained"], *trimmed], unable, bool(base.excluded or lost_by)
-        ),
+        "verdict": verdict_of(effects, ties, left, given.unable, bool(base.excluded or lost_by)),
         "summary": "",
         "base model": {
             "explained": dict(base.share),
@@ -233,44 +295,28 @@ def diagnose(
             "wrong": base.wrong,
             "sentence": base.sentence(),
         },
-        "sessions": {k: sessions.get(k, "") for k in roles},
-        "hover trim": trim.document,
+        "sessions": {k: given.sessions.get(k, "") for k in given.roles},
+        "hover trim": case.trim.document,
         "losses": [{**loss._asdict(), "text": loss.sentence()} for loss in lost_by],
         "effects": sorted(
-            [*lower_effects, *named],
+            effects,
             # what is new first: it is what a pilot asks for
             key=lambda e: (e["id"] != rotor_order.ID, e["since"] == "always", -float(e["evidence"].get("wald") or 0.0)),
         ),
         "ties": ties,
-        "findings": [
-            *trimmed,
-            *(f for level in ("sensors", "drive") for f in levels[level]["findings"]),
-            *shifted,
-            *restless,
-        ],
+        "findings": findings,
         **lists,
         "extended_model": settings["extended model ID"],
-        "flights": dict(roles),
-        "name": name,
-        "unable": unable,
+        "unable": given.unable,
         "effects asked": settings.get("effects", "all"),
-        "material share": share,
+        "material share": settings["material share"],
         "false alarm rate": settings["false alarm rate"],
         "horizons": list(settings["horizons"]),
-        "rollouts": rolled["fell"],
-        "halves": own,
-        "fitted anew": found is not None and bool(again),
-        "scores": scores,
-        "calibration": {k: calibration[k] for k in ("compared", "reference", "causes", "notes") if k in calibration},
+        "rollouts": extension.rolled["fell"],
+        "halves": extension.halves,
+        "fitted anew": forces.found is not None and bool(extension.anew),
+        "scores": extension.scores,
     }
-    _since_when(result, references)
-    add_probabilities(result)
-    result["summary"] = summary(result, effects)
-    tables = wrench_tables(evidence, roles, left_of)
-    if len(lives):
-        tables["forces_unexplained"] = lives
-    tables |= {k: t for k, t in rolled.items() if isinstance(t, pd.DataFrame)}
-    return Diagnosis(result, document, tables, found)
 
 
 def _since_when(result: dict[str, Any], references: str) -> None:
@@ -282,40 +328,6 @@ def _since_when(result: dict[str, Any], references: str) -> None:
             for entry in result[part]:
                 if "since" in entry:
                     entry["in training flights"], entry["since"] = entry["since"] == "always", "always"
-
-
-def _weighed(model: Model, flights: Sequence[Evidence]) -> list[str]:
-    """A sentence on flights that were logged with another mass than the model's, where there are any."""
-    own = configured_mass(model)
-    other = {e.key: e.mass for e in flights if own and np.isfinite(e.mass) and abs(e.mass / own - 1.0) > SAME_MASS}
-    if not other:
-        return []
-    masses = " and ".join(f"{m:.4g} kg" for m in sorted(set(other.values())))
-    return [
-        f"logged with {masses}, where the model knows {own:.4g} kg: {', '.join(other)}; simulations of flights take "
-        "the logged mass, and the extended model keeps its own, with what was found on top"
-    ]
-
-
-def _unable(groups: Mapping[str, Sequence[Evidence]], roles: Mapping[str, str], lost: Sequence[str]) -> str:
-    """Why causes of forces and moments cannot be distinguished, or nothing. lost  sentences on unusable flights"""
-
-    def why(role: str) -> str:
-        keys = [k for k, r in roles.items() if r == role]
-        return next((s.split("; ")[0] for s in lost if any(f"flight {k} " in s for k in keys)), "")
-
-    if len(groups["compared"]) < 2:
-        count, because = len(groups["compared"]), why("compared")
-        return (
-            f"{count or 'no'} compared flight{'s' * (count != 1)} {'is' if count == 1 else 'are'} left to learn from"
-            f"{f' ({because})' * bool(because)}, and a cause needs at least 2 in addition to those held out"
-        )
-    if not groups["held out"]:
-        if "held out" in roles.values():
-            because = why("held out") or "see the notes"
-            return f"no held-out flight could be used ({because}); hold out another one, so that a gain is measured"
-        return "no flight is held out, so that no gain can be measured; name one in 'rows of flights held out'"
-    return ""
 
 
 def count_found(drive: Sequence[tuple[Effect, Mapping[str, float]]]) -> int:
@@ -406,15 +418,6 @@ def _correction_matters(
     if not all(evidence for evidence, _ in sides):
         return True
     return correction_matters(model, *sides, settings["horizons"], settings["material share"])
-
-
-def _unusable(base: Worth) -> str:
-    """Why the base model is no ground for a comparison of forces and moments, "" for one that is."""
-    if base.wrong:
-        return f"the base model is unusable: {base.wrong}"
-    if len(base.excluded) == len(AXES):
-        return "the base model explains next to nothing of any axis; identify one that does"
-    return ""
 
 
 def verdict_of(

@@ -15,7 +15,7 @@ from test_gap_extension import flight as made
 
 from quasi.errors import ConfigError, DataError, QuasiError
 from quasi.gap.catalogue import whole_of
-from quasi.gap.diagnosis import _unable, diagnose, verdict_of
+from quasi.gap.diagnosis import diagnose, verdict_of
 from quasi.gap.effect import vehicle_of
 from quasi.gap.entries import candidates
 from quasi.gap.extension import extend
@@ -35,6 +35,7 @@ from quasi.gap.levels.rollouts import split_flights
 from quasi.gap.levels.rollouts.confirmation import CONFIRMED, UNJUDGED, Confirmation, Settled
 from quasi.gap.levels.sensors_and_drive import reject_immaterial
 from quasi.gap.materiality import Cause
+from quasi.gap.preparation import _unable
 from quasi.gap.statistics import mixed
 from quasi.gap.statistics.candidates import Candidate
 from quasi.gap.verdict import _borne_out

@@ -11,7 +11,6 @@ from quasi.errors import ConfigError
 from quasi.export.contents import voltage_of
 from quasi.gap.catalogue import columns_of
 from quasi.gap.causes.inertia import ENTRIES
-from quasi.gap.diagnosis import _weighed
 from quasi.gap.effect import as_flown, vehicle_of
 from quasi.gap.extension import extend
 from quasi.gap.flights.evidence import model_wrench
@@ -20,6 +19,7 @@ from quasi.gap.flights.instruments import shown
 from quasi.gap.levels.drive.fit import belief_of
 from quasi.gap.levels.drive.prediction import own_lag
 from quasi.gap.levels.forces.identify import WEIGHING, _carried
+from quasi.gap.preparation import _weighed
 from quasi.model.columns import STATE
 from quasi.model.extensions import (
     actuators_of,

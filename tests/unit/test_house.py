@@ -78,7 +78,7 @@ FLOORS = [
     {"entries", "probability", "scores"},
     {"report"},
     {"constant_loads"},
-    {"losses", "base_model", "verdict", "diagnosis"},
+    {"losses", "base_model", "preparation", "verdict", "diagnosis"},
     {"planning"},
     {"comparing"},
 ]
