@@ -17,12 +17,11 @@ from quasi.gap.flights.covariates import UNPLACED
 from quasi.gap.flights.evidence import Evidence
 from quasi.gap.levels.forces.design import ROW_MEMORY
 from quasi.gap.levels.forces.nuisance import nuisances, session_nuisances
-from quasi.gap.statistics.log_ratio import larger, two_larger
+from quasi.gap.statistics.log_ratio import BY_EFFORT, beyond_references
 from quasi.gap.statistics.memory import lagged_products, lags_of_flight
 from quasi.model.model import AXES
 
 LEAST_FLIGHTS = 2  # of either kind, for a spread between flights
-BY_EFFORT = 0.05  # largest p with which errors grew more than the forces and moments that were flown
 
 
 def left_beyond_references(
@@ -52,10 +51,7 @@ def left_beyond_references(
             continue
         now, usual = (e[:, k] for e in errors)
         harder = np.maximum(effort[0][:, k] / np.exp(np.log(effort[1][:, k]).mean()), 1.0)
-        gain, in_mean = larger(now, usual)
-        tests = [(in_mean, larger(now / harder, usual)[1]), (two_larger(now, usual), two_larger(now / harder, usual))]
-        p, by_effort = min(tests)
-        p = min(1.0, len(tests) * p)
+        gain, p, by_effort = beyond_references(now, usual, harder)
         if p < rate / len(AXES) and by_effort < BY_EFFORT and not instruments[k]:
             size = np.sqrt(max(errors[0][:, k].mean() - errors[1][:, k].mean(), 0.0))
             entries.append({
