@@ -17,7 +17,7 @@ from quasi.gap.effect import Effect
 from quasi.gap.entries import needed
 from quasi.gap.flights.covariates import EVERYWHERE, where_in_words
 from quasi.gap.levels.forces import unexplained
-from quasi.gap.levels.forces.beyond_references import left_beyond_references
+from quasi.gap.levels.forces.beyond_references import left_beyond_references, less_usual_differences
 from quasi.gap.levels.forces.case import Case
 from quasi.gap.levels.forces.error_reduction import after, wrench_score
 from quasi.gap.levels.forces.findings import gusts
@@ -418,7 +418,8 @@ def errors_beyond_references(case: Case, settled: Settled, found: Found) -> list
     own = made_of(case.model, references)
     usual = residual_of_others(found.study, references) if own else after(case.model, case.model)
     rate = 0.5 * case.settings["false alarm rate"] / SEARCHES
-    return left_beyond_references(references, others, usual, after(stood_for, case.model), rate)
+    left = less_usual_differences(after(stood_for, case.model))
+    return left_beyond_references(references, others, less_usual_differences(usual), left, rate)
 
 
 def refused_changes(case: Case, found: Found) -> list[dict[str, Any]]:

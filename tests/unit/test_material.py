@@ -167,6 +167,10 @@ def test_a_voltage_that_stays_cannot_show_what_it_does():
         reject_immaterial(anew, [replace(steady, filtered=still, imported=still)], [], SHARE, 0.25)
         assert [e["id"] for e in anew["drive"]["effects"]] == ["battery_sag"] * named
         assert named or "battery_sag" in [c["id"] for c in anew["drive"]["candidates"]]
+    nowhere = json.loads(json.dumps(levels))
+    nowhere["drive"]["found on"]["worth"] = {}  # noise holds the error of the flights that it was found on as well
+    reject_immaterial(nowhere, [replace(steady, filtered=still, imported=still)], [], SHARE)
+    assert not nowhere["drive"]["effects"] and "noise hides it" in nowhere["drive"]["candidates"][-1]["why_not"]
     other = json.loads(json.dumps(levels))
     reject_immaterial(other, [driven(5)], [], SHARE)  # follows the battery as the model says
     assert not other["drive"]["effects"]

@@ -151,6 +151,9 @@ def reject_immaterial(
                 if p is not None and p >= least:
                     why = f"hardly shown by held-out flights, and p = {p:.2g} of the others is not below {least:.2g}"
                     _reject(level, entry, name, why)
+                elif hidden and cause not in about["worth"]:
+                    # a p-value alone: jolts of a rotor that its commands answer look like a lag of it
+                    _reject(level, entry, name, "so small that noise hides it in the flights that it was found on, too")
                 elif hidden:
                     level["notes"].append(
                         f"whether {_words(entry)} matters is unknown on held-out flights: noise hides what it does"

@@ -416,8 +416,8 @@ def summed_up(diagnosis: Mapping[str, Any], known: Mapping[str, Effect]) -> list
             " ".join(t for t in (cause_sentence(e, known, roles), _sentence(rivals_words(e, diagnosis, known))) if t)
             for e in effects
         ]
-    named = {e["id"] for e in effects}
-    texts += [_sentence(f["text"]) for f in diagnosis.get("findings", ()) if f["id"] in {*named, "trim"}]
+    shown = {*(e["id"] for e in effects), "trim", "sensor_error"}
+    texts += [_sentence(f["text"]) for f in diagnosis.get("findings", ()) if f["id"] in shown]
     texts += [tie_sentence(t) for t in diagnosis["ties"]]
     texts += [left_sentence(u) for u in diagnosis["unexplained"][:3]]
     if len(diagnosis["unexplained"]) > 3:

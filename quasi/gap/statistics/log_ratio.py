@@ -3,6 +3,7 @@
 import numpy as np
 from scipy.stats import t as t_distribution
 
+BY_EFFORT = 0.05  # largest p with which errors grew more than the motion that was flown
 PRIOR_FLIGHTS = 10.0  # flights that the usual spread between healthy flights counts as
 
 
@@ -38,3 +39,16 @@ def two_larger(now: np.ndarray, before: np.ndarray) -> float:
     beyond = (np.log(now) - usual.mean()) / max(usual.std(ddof=1) * np.sqrt(1.0 + 1.0 / len(before)), 1e-300)
     second = float(np.sort(t_distribution.sf(beyond, freedom))[1])
     return min(1.0, 0.5 * len(now) * second)
+
+
+def beyond_references(now: np.ndarray, usual: np.ndarray, harder: np.ndarray) -> tuple[float, float, float]:
+    """Natural logarithm of the ratio of geometric means, p-value, and the p-value by what was flown.
+
+    now (n,), usual (m,)  squared errors of compared and of reference flights, positive; harder (n,)  how many times the
+    squared effort of the reference flights, at least 1. All flights may show an effect, or two that have the manoeuvre
+    for it: both are tested.
+    """
+    gain, in_mean = larger(now, usual)
+    tests = [(in_mean, larger(now / harder, usual)[1]), (two_larger(now, usual), two_larger(now / harder, usual))]
+    p, by_effort = min(tests)
+    return gain, min(1.0, len(tests) * p), by_effort

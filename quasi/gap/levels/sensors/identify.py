@@ -17,7 +17,7 @@ from quasi.gap.effect import Effect, Limits
 from quasi.gap.flights.level import PRIOR_FREEDOM, Flown, Level, SensorMixedModel
 from quasi.gap.levels.selected import report_selection
 from quasi.gap.levels.sensors.columns import Weak, corrected_already, in_common, straightened, weak_form
-from quasi.gap.levels.sensors.findings import shaken, torn
+from quasi.gap.levels.sensors.findings import errors_beyond_references, shaken, torn
 from quasi.gap.levels.sensors.products import added, alone, blocks_of, dispersion, spread_of_slopes, whitener_of
 from quasi.gap.levels.sensors.tables import tables
 from quasi.gap.profile import Profile
@@ -118,6 +118,8 @@ def examine(flights: Sequence[Flown], options: Mapping[str, Any]) -> Level:
     level.tables, level.noise_floor = tables(
         used, search.weak, search.whiteners, search.known, fitted, search.mixed.columns, usual, units
     )
+    channels = level.tables["channels"].drop_duplicates("channel").set_index("channel")["unit"]
+    level.findings += errors_beyond_references(used, level.tables["residuals"], dict(channels), alarm)
     return level
 
 
