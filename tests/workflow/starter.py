@@ -1,26 +1,46 @@
-"""A process that has imported Snakemake and starts every run as a fork of itself: two seconds less for each.
+"""A process that has imported Snakemake and starts every run as a fork of itself: four seconds less for each.
 
-Imports of others take most of a dry run's time. The library is not among them: every run reads it anew.
+Imports of others take most of a dry run's time, and of the start of a run's job server, which is another fork. The
+library is not among them: every run and every server reads it anew. Chaos and nano-drone tests start Python instead.
 Requests are lines of JSON on standard input; the answer to each is its exit code.
 """
 
+import atexit
+import gc
 import json
 import os
+import signal
+import socket
+import subprocess
 import sys
+import threading
 
-# what every run imports besides the library
+# what runs and jobs import besides the library
 import jsonschema  # noqa: F401
+import matplotlib.backends.backend_agg  # noqa: F401
 import nbformat  # noqa: F401
+import numba  # noqa: F401
 import pandas  # noqa: F401
+import pyarrow.parquet  # noqa: F401
+import scipy.optimize
+import scipy.signal
+import scipy.spatial.transform  # noqa: F401
 import smart_open  # noqa: F401
 import snakemake.cli
 import snakemake.report.html_reporter
+import snakemake.storage
+import tqdm  # noqa: F401
 
 snakemake.cli.get_argument_parser()  # it looks for plugins, and keeps what it finds
+
+JOB_SERVER = "from quasi.running.job_server import serve;"  # the program of `quasi.running.job_server.JobServer`
+REQUEST = 1 << 17  # bytes, nearly all of it the environment
 
 
 def serve():
     """Answer requests until the input ends; returns the request in the forked process that shall run it, else None."""
+    gc.collect()
+    gc.freeze()
     for line in sys.stdin:
         process = os.fork()
         if process == 0:
@@ -28,6 +48,62 @@ def serve():
         status = os.waitpid(process, 0)[1]
         print(os.waitstatus_to_exitcode(status), flush=True)
     return None
+
+
+class ForkedServer:
+    """The process of a job server as `subprocess.Popen` gives it: a fork that waits for its program."""
+
+    def __init__(self):
+        self._ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        self.pid = os.fork()  # now, while there is one thread
+        if self.pid == 0:
+            self._ours.close()
+            run_program(theirs)
+        theirs.close()
+
+    def start(self, program, descriptor, environment):
+        """Run a program, which is given one descriptor, in an environment and the current folder."""
+        message = json.dumps({"program": program, "descriptor": descriptor, "environment": environment}).encode()
+        socket.send_fds(self._ours, [message], [descriptor])
+
+    def terminate(self):
+        """Send SIGTERM."""
+        os.kill(self.pid, signal.SIGTERM)
+
+    def wait(self):
+        """Wait for the end."""
+        os.waitpid(self.pid, 0)
+
+
+def run_program(control):
+    """Wait for a program, run it as `python -P -c` would, and exit; without one, end with the other process."""
+    message, descriptors, _, _ = socket.recv_fds(control, REQUEST, 1)
+    if not message:
+        os._exit(0)
+    request = json.loads(message)
+    (given,) = descriptors
+    control.close()
+    if given != request["descriptor"]:
+        os.dup2(given, request["descriptor"])
+        os.close(given)
+    os.environ.clear()
+    os.environ.update(request["environment"])
+    sys.argv = ["-c"]
+    exec(request["program"], {"__name__": "__main__"})
+    sys.exit()
+
+
+def fork_job_servers(server):
+    """From now on `subprocess.Popen` of a job server's program starts it in `server`."""
+
+    class Popen(subprocess.Popen):
+        def __new__(cls, command, *arguments, **options):
+            if not (isinstance(command, list) and str(command[-1]).startswith(JOB_SERVER)):
+                return super().__new__(cls)
+            server.start(command[-1], *options["pass_fds"], options["env"])
+            return server
+
+    subprocess.Popen = Popen
 
 
 def run(request):
@@ -39,9 +115,25 @@ def run(request):
     for stream in (1, 2):
         os.dup2(printed, stream)
     os.dup2(os.open(os.devnull, os.O_RDONLY), 0)
-    sys.path[:1] = [request["folder"], *request["environment"]["PYTHONPATH"].split(os.pathsep)]
+    library = request["environment"]["PYTHONPATH"].split(os.pathsep)
+    sys.path[:1] = library
+    if "-n" not in request["arguments"]:
+        fork_job_servers(ForkedServer())
+    sys.path.insert(0, request["folder"])
     sys.argv = [snakemake.cli.__file__, *request["arguments"]]
-    snakemake.cli.main()
+    try:
+        snakemake.cli.main()
+    except SystemExit as ended:
+        end(ended.code)
+
+
+def end(code):
+    """Exit; the interpreter's own end would write to, and so copy, nearly all memory shared with the starter."""
+    threading._shutdown()
+    atexit._run_exitfuncs()
+    sys.stdout.flush()
+    sys.stderr.flush()
+    os._exit(code)
 
 
 if __name__ == "__main__" and (asked := serve()):

@@ -121,7 +121,7 @@ def whiten(columns: np.ndarray, breaks: np.ndarray, whitener: Whitener) -> tuple
         rows.append(np.arange(part.start + order, part.stop))
     if not parts:
         return np.empty((0, *columns.shape[1:])), np.empty(0, int)
-    return np.concatenate(parts), np.concatenate(rows)
+    return (parts[0], rows[0]) if len(parts) == 1 else (np.concatenate(parts), np.concatenate(rows))
 
 
 def channel_grams(

@@ -17,6 +17,7 @@ Stoica, System Identification, 1989, chapters 7 (errors made white by an autoreg
 al., Measurement Error in Nonlinear Models, 2nd ed., 2006, chapter 3 (a noisy regressor has too small a coefficient).
 """
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -106,6 +107,10 @@ class Prediction:
         # that the fit does not creep along what they have in common
         self.first = [_mapped(start, c) for c in self.commands]
         self._buffer, self._exponent, self._factor = np.empty(len(self.t)), np.nan, np.empty(0)
+        self._moves: dict[int, np.ndarray] = {}
+        # without holes a slice, which copies nothing
+        full = len(self.rows) > 0 and self.rows[-1] - self.rows[0] == (len(self.rows) - 1) * self.every
+        self._taken = slice(self.rows[0], self.rows[-1] + 1, self.every) if full else self.rows
 
     def kept(self) -> np.ndarray:
         """Places (m,) of the rows whose errors before are known."""
@@ -121,8 +126,9 @@ class Prediction:
         volt = self._voltage_factor(x[EXPONENT])
         wanted = volt * (_mapped(x, c) + x[SPEED_SHARE + i] * self.first[i])
         if len(slopes):
-            sagging = np.zeros(len(c)) if self.ratio is None else wanted * self.ratio
-            moves = np.stack([volt, volt * c, volt * c * c, sagging, volt * self.first[i]], axis=1)
+            moves = self._map_slopes(i)
+            if self.ratio is not None:
+                moves[:, 3] = wanted * self.ratio
         late, (up, down) = x[DELAY] / self.dt, own_lag(x, i)
         follow(wanted, self.speeds[i], self.begins, late, self.dt, up, down, self._buffer, moves, slopes)
         return self._buffer
@@ -131,8 +137,17 @@ class Prediction:
         """Factor (n,) of the voltage on the speed, kept for the four rotors."""
         if exponent != self._exponent:
             self._exponent = exponent
+            self._moves.clear()
             self._factor = np.ones(len(self.t)) if self.ratio is None else np.exp(exponent * self.ratio)
         return self._factor
+
+    def _map_slopes(self, i: int) -> np.ndarray:
+        """Derivatives (n, 5) of what rotor i follows by x[3:7] and its share of the speed; that by the exponent, which
+        depends on the speed, is 0. Kept while the factor of the voltage stays."""
+        if i not in self._moves:
+            c, volt = self.commands[i], self._factor
+            self._moves[i] = np.stack([volt, volt * c, volt * c * c, np.zeros(len(c)), volt * self.first[i]], axis=1)
+        return self._moves[i]
 
     def errors(self, x: np.ndarray) -> np.ndarray:
         """What of the errors (m, 4), rad/s, the errors before do not predict."""
@@ -145,25 +160,31 @@ class Prediction:
 
     def slopes(self, x: np.ndarray) -> np.ndarray:
         """Derivatives (m, 4, 15) of the predicted speeds, see `_unforeseen`."""
-        slopes = self._slopes(x)
+        slopes = self._slopes(x).reshape(-1, 4, len(x))
         return np.stack([self._unforeseen(slopes[:, i], plain) for i, plain in enumerate(self._plain(x).T)], axis=1)
 
-    def _slopes(self, x: np.ndarray, every: int = 1, free: np.ndarray | slice = slice(None)) -> np.ndarray:
-        """Derivatives (m, 4, F) of the predicted speeds at each `every`-th row by the free constants; the memory stays.
+    def _slopes(
+        self, x: np.ndarray, every: int = 1, free: np.ndarray | slice = slice(None), more: int = 0
+    ) -> np.ndarray:
+        """Derivatives (4 m + more, F) of the predicted speeds at each `every`-th row by the free constants.
 
-        free (15,)  bool, or all
+        The memory stays. free (15,)  bool, or all; more  rows at the end, to be filled
         """
-        own, combined = np.empty((len(self.t), 8)), []
+        own, combined, rows = np.empty((len(self.t), 8)), np.empty(0), 0
         for i in range(4):
             self.of_commands(i, x, own)
-            white = self._new(own[self.rows, None], self.memory)[::every, 0]
+            white = self._new(own[self._taken][:, None], self.memory)[::every, 0]
             (up, down), weights = own_lag(x, i), np.zeros((8, len(x)))
             weights[:7, :7], weights[7, SPEED_SHARE + i] = np.eye(7), 1.0
             weights[0, 0], weights[1, 1] = up / x[0], down / x[1]
             # a logarithm counts from the mean of the four, which is what the common time constants are
             weights[:2, LAG:] = np.outer((up, down), np.eye(4)[i] - 0.25)
-            combined.append(white @ weights[:, free])
-        return np.stack(combined, axis=1)
+            weights = weights[:, free]
+            if i == 0:
+                rows = 4 * len(white)
+                combined = np.empty((rows + more, weights.shape[1]))
+            np.matmul(white, weights, out=combined[i:rows:4])
+        return combined
 
     def fit(
         self, start: np.ndarray, loose: np.ndarray, noise: float, size: np.ndarray, free: np.ndarray
@@ -188,8 +209,8 @@ class Prediction:
                 return there
 
             def slopes(values: np.ndarray) -> np.ndarray:
-                seen = self._slopes(at(values), every, free)
-                both = np.concatenate([seen.reshape(-1, seen.shape[2]), np.diag(noise / loose)[:, free]])
+                both = self._slopes(at(values), every, free, len(x))
+                both[-len(x) :] = np.diag(noise / loose)[:, free]
                 both /= noise
                 return both
 
@@ -243,6 +264,7 @@ class Prediction:
         x, own, old = x.copy(), x[SPEED_SHARE:LAG], np.concatenate(self.first)
         x[MAP] += own.mean() * start[MAP]
         self.first = [_mapped(x, c) for c in self.commands]
+        self._moves.clear()
         new = np.concatenate(self.first)
         x[SPEED_SHARE:LAG] = (own - own.mean()) * (old @ new) / (new @ new)
         return x
@@ -272,7 +294,10 @@ class Prediction:
 
     def _plain(self, x: np.ndarray) -> np.ndarray:
         """Measured speeds minus those of the commands (rows, 4)."""
-        return np.stack([self.target[:, i] - self.of_commands(i, x)[self.rows] for i in range(4)], axis=1)
+        errors = self.target.copy()
+        for i in range(4):
+            errors[:, i] -= self.of_commands(i, x)[self._taken]
+        return errors
 
     def _new(self, values: np.ndarray, memory: np.ndarray) -> np.ndarray:
         """Values (rows, R) or (rows, R, p) with what a memory predicts taken off (m, ...)."""
@@ -294,7 +319,7 @@ class Prediction:
 
 def own_lag(x: np.ndarray, i: int) -> np.ndarray:
     """Time constants up and down (2,), s, of rotor i by constants x (15,)."""
-    return x[:2] * np.exp(x[LAG + i] - np.mean(x[LAG:]))
+    return x[:2] * math.exp(x[LAG + i] - sum(x[LAG:].tolist()) / 4.0)
 
 
 def _mapped(x: np.ndarray, command: np.ndarray) -> np.ndarray:
