@@ -1,8 +1,7 @@
 """Filter one imported flight: states, biases, forces and moments."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -28,11 +27,23 @@ NONE_VALID = "no row of this flight is valid for identification"
 REPORTED_SHARE = 0.05  # share of a flight from which a reason for its invalid rows is named
 
 
-class _Logged(NamedTuple):
-    """Columns of the import that hold rotor speeds, and commands."""
+class _Actuators(NamedTuple):
+    """What the import holds of rotors.
+
+    rotors, commands  names of columns; values {name: (N,)} without gaps; lost (N,) bool, True where one was bridged
+    speeds     (N, rotors) as logged, None where they are not measured; factor  from logged units to rad/s, or None
+    turning    speeds, or commands of four rotors, None without either
+    estimated  {command: (N,)} of flights whose speeds are estimated from them
+    """
 
     rotors: list[str]
     commands: list[str]
+    values: dict[str, np.ndarray]
+    lost: np.ndarray
+    speeds: np.ndarray | None
+    factor: float | None
+    turning: np.ndarray | None
+    estimated: Mapping[str, np.ndarray]
 
 
 @dataclass(frozen=True)
@@ -115,51 +126,83 @@ def filter_flight(
     rate = 1.0 / dt
     imu = measurements.read_imu(imported, measurements.resolution(imported_metadata))
     notes += imu.notes
-    logged = _Logged(
-        [c for c in imported if c[0] == "w" and c[1:].isdigit()],
-        [c for c in imported if c.startswith("command") or c.endswith("_CMD")],
-    )
-    actuators, actuators_lost = _filled(imported, [*logged.rotors, *logged.commands], notes)
-    rotors = [c for c in logged.rotors if c in actuators]
-    speeds = np.stack([actuators[c] for c in rotors], axis=1) if rotors else None
-    factor = airframe.logged_to_rad_s or imported_metadata.get("logged to rad/s")
-    estimated = commands_to_keep(actuators)
-    turning = speeds if speeds is not None else _commanded(actuators, logged)
-    if estimated:
-        notes.append("rotor speeds are not measured: a model that uses this flight estimates them from its commands")
-    if turning is not None and speeds is None:
-        notes.append("no rotor speeds: take-off, ground and rest are found from the commands")
-    found = _phases(
-        imported, imported_metadata, airframe, imu, turning, factor if turning is speeds else None, dt, notes
-    )
+    rotors = _read_actuators(imported, imported_metadata, airframe, notes)
+    found = _phases(imported, imported_metadata, airframe, imu, rotors, dt, notes)
     stuck, stuck_notes = measurements.frozen(imu, found.on_ground, t, dt)
     imu.lost |= stuck
     notes += stuck_notes
 
-    made = imported_metadata.get("reconstructed") or {}
-    if chosen["run extended kalman filter"] and "gyro" in made:
-        notes.append(
+    log_rate = ((imported_metadata.get("streams") or {}).get("gyro") or {}).get("rate")
+    folded = np.zeros(len(t))
+    if rotors.speeds is not None:
+        folded = harmonics.near_zero(rotors.speeds, float(log_rate or rate), rate)
+    material = Material(imported, imported_metadata, airframe, chosen, imu, found, folded, dt, notes)
+    run = _find_states(material, watch)
+    in_flight = ~found.on_ground
+    band = bands.choose(chosen, rotors.speeds, np.hstack([imu.gyro, imu.accel]), in_flight, log_rate, rate, notes)
+    specific = band.low_pass(imu.accel - run.bias[:, 3:])
+    body = attitude.rotate_inverse(run.quaternion, run.velocity)
+    air, windless = _through_air(imported, body, run.quaternion)
+    spoiling = _spoiling(material, run, rotors, band.reach, windless)
+    valid = ~np.logical_or.reduce(list(spoiling.values()))
+
+    table = {"t": t, **_actuators(rotors, band), **_before_low_pass(rotors, imu, run)}
+    table |= _states(specific, *band.both(imu.gyro - run.bias[:, :3]), run, body, air)
+    table |= _loads(specific, table, airframe)
+    if chosen["add induced velocity"]:
+        table["v_in"] = _induced(body if air is None else air, airframe, notes)
+    table |= _filled(imported, _passed_on(imported, table, rotors), notes)[0]
+    table["in_flight"], table["valid"] = in_flight.astype(float), valid.astype(float)
+    _refuse_broken(table)
+    if not valid.any():
+        notes.insert(0, f"{NONE_VALID}: {_spoilt(spoiling)}")  # what makes the others matter less
+    with_gravity = pd.DataFrame(table)
+    net = forces.net_forces(specific, run.quaternion, airframe.mass)
+    no_gravity = with_gravity.assign(**dict(zip(("Fx", "Fy", "Fz"), net.T)))
+    return Filtered(with_gravity, no_gravity, _metadata(material, run, band, rotors, valid, spoiling), run.convergence)
+
+
+def _read_actuators(
+    imported: pd.DataFrame, metadata: Mapping[str, Any], airframe: Airframe, notes: list[str]
+) -> _Actuators:
+    """Rotor speeds and commands of a flight; what is missing is noted."""
+    names = [c for c in imported if c[0] == "w" and c[1:].isdigit()]
+    commands = [c for c in imported if c.startswith("command") or c.endswith("_CMD")]
+    values, lost = _filled(imported, [*names, *commands], notes)
+    rotors = [c for c in names if c in values]
+    speeds = np.stack([values[c] for c in rotors], axis=1) if rotors else None
+    estimated = commands_to_keep(values)
+    turning = speeds if speeds is not None else _commanded(values, commands)
+    if estimated:
+        notes.append("rotor speeds are not measured: a model that uses this flight estimates them from its commands")
+    if turning is not None and speeds is None:
+        notes.append("no rotor speeds: take-off, ground and rest are found from the commands")
+    factor = airframe.logged_to_rad_s or metadata.get("logged to rad/s")
+    return _Actuators(names, commands, values, lost, speeds, factor, turning, estimated)
+
+
+def _find_states(material: Material, watch: ekf.Watch | None) -> estimation.Run:
+    """States and biases: of the filter, or of the import where that is chosen or no gyro was logged."""
+    is_asked = material.chosen["run extended kalman filter"]
+    made = material.metadata.get("reconstructed") or {}
+    if is_asked and "gyro" in made:
+        material.notes.append(
             f"body rates were made from {made['gyro']['from']}, so that no filter can compare them; states are those "
             "of the import"
         )
-    use_filter = chosen["run extended kalman filter"] and "gyro" not in made
-    find = partial(estimation.estimate, watch=watch) if use_filter else estimation.copy
-    log_rate = ((imported_metadata.get("streams") or {}).get("gyro") or {}).get("rate")
-    folded = np.zeros(len(t)) if speeds is None else harmonics.near_zero(speeds, float(log_rate or rate), rate)
-    run = find(Material(imported, imported_metadata, airframe, chosen, imu, found, folded, dt, notes))
+    return estimation.estimate(material, watch=watch) if is_asked and "gyro" not in made else estimation.copy(material)
 
-    in_flight = ~found.on_ground
-    band = bands.choose(chosen, speeds, np.hstack([imu.gyro, imu.accel]), in_flight, log_rate, rate, notes)
-    reach = band.reach
-    rates, rates_dot = band.both(imu.gyro - run.bias[:, :3])
-    specific = band.low_pass(imu.accel - run.bias[:, 3:])
-    body = attitude.rotate_inverse(run.quaternion, run.velocity)
 
-    edge = np.zeros(len(t), bool)
+def _spoiling(
+    material: Material, run: estimation.Run, rotors: _Actuators, reach: int, windless: np.ndarray
+) -> dict[str, np.ndarray]:
+    """{what makes rows invalid: (N,) bool}. reach  of the low-pass, rows; windless (N,)  where the wind is unknown"""
+    imu, dt, notes, count = material.imu, material.dt, material.notes, len(material.frame)
+    in_flight = ~material.found.on_ground
+    edge = np.zeros(count, bool)
     edge[:reach] = edge[-reach:] = True
-    lost = forces.spread(imu.lost | actuators_lost, reach) | edge
-    touched = np.zeros(len(t), bool)
-    if check_measured_motion({**run.report, "imported": imported_metadata})[1]:
+    touched = np.zeros(count, bool)
+    if check_measured_motion({**run.report, "imported": material.metadata})[1]:
         contacts = find_contacts(-run.position[:, 2], imu.accel, in_flight, dt)
         touched = forces.spread(contacts, reach)
         if contacts.any():
@@ -168,50 +211,60 @@ def filter_flight(
                 "floor's force is not its own; these rows are marked invalid"
             )
     spoiling = {
-        _unsure_words(imported_metadata): run.unsure,
+        _unsure_words(material.metadata): run.unsure,
         "it is not in flight": ~in_flight,
         "it touches the floor": touched,
-        "sensors or rotor speeds are lost": lost,
+        "sensors or rotor speeds are lost": forces.spread(imu.lost | rotors.lost, reach) | edge,
     }
-    if turning is not None:  # a jolt of the IMU while no rotor turns is no flight
-        spoiling["no rotor turns"] = ~(turning > 0.0).any(axis=1)
-    air, windless = _through_air(imported, body, run.quaternion)
+    if rotors.turning is not None:  # a jolt of the IMU while no rotor turns is no flight
+        spoiling["no rotor turns"] = ~(rotors.turning > 0.0).any(axis=1)
     if windless.any():
         notes.append(
             f"the wind is unknown in {100 * windless.mean():.3g} % of the flight; these rows are marked invalid"
         )
         spoiling["the wind is unknown"] = windless
-    valid = ~np.logical_or.reduce(list(spoiling.values()))
+    return spoiling
 
-    table: dict[str, np.ndarray] = {"t": t, **_actuators(actuators, speeds, logged, band)}
-    table |= {f"{name}{RAW}": values for name, values in estimated.items()}
-    if estimated:  # before the low-pass: what the rotor speeds are identified on
-        clean = np.hstack([imu.gyro - run.bias[:, :3], imu.accel - run.bias[:, 3:]])
-        table |= {f"{name}{RAW}": clean[:, i] for i, name in enumerate(("p", "q", "r", "ax", "ay", "az"))}
-    table |= _states(specific, rates, rates_dot, run, body, air)
-    table |= dict(zip(("Fx", "Fy", "Fz"), forces.forces(specific, airframe.mass).T))
-    table |= dict(zip(("Mx", "My", "Mz"), forces.moments(rates, rates_dot, np.asarray(airframe.inertia)).T))
-    if chosen["add induced velocity"]:
-        table["v_in"] = _induced(body if air is None else air, airframe, notes)
+
+def _before_low_pass(rotors: _Actuators, imu: measurements.Imu, run: estimation.Run) -> dict[str, np.ndarray]:
+    """Columns that rotor speeds are identified on, of flights that do not measure them."""
+    if not rotors.estimated:
+        return {}
+    clean = np.hstack([imu.gyro - run.bias[:, :3], imu.accel - run.bias[:, 3:]])
+    columns = {f"{name}{RAW}": values for name, values in rotors.estimated.items()}
+    return columns | {f"{name}{RAW}": clean[:, i] for i, name in enumerate(("p", "q", "r", "ax", "ay", "az"))}
+
+
+def _loads(specific: np.ndarray, states: Mapping[str, np.ndarray], airframe: Airframe) -> dict[str, np.ndarray]:
+    """Columns of forces and moments. specific (N, 3) m/s2; states  with body rates and their slopes"""
+    rates, slopes = (np.stack([states[f"{n}{tail}"] for n in "pqr"], axis=1) for tail in ("", "_dot"))
+    moments = forces.moments(rates, slopes, np.asarray(airframe.inertia))
+    return dict(zip(("Fx", "Fy", "Fz"), forces.forces(specific, airframe.mass).T)) | dict(
+        zip(("Mx", "My", "Mz"), moments.T)
+    )
+
+
+def _passed_on(imported: pd.DataFrame, table: Mapping[str, Any], rotors: _Actuators) -> list[str]:
+    """Standard columns of the import that the filtered table takes over as they are."""
     extra = [c for c in imported if c in COLUMNS and c not in table and c not in ("vx", "vy", "vz") and "_air" not in c]
-    known = ("onboard_valid", "imu_clipped", *logged.rotors, *logged.commands)
-    extra = [c for c in extra if not c.endswith("_sample") and c not in known]
-    table |= _filled(imported, extra, notes)[0]
-    table["in_flight"], table["valid"] = in_flight.astype(float), valid.astype(float)
-    _refuse_broken(table)
-    if not valid.any():
-        notes.insert(0, f"{NONE_VALID}: {_spoilt(spoiling)}")  # what makes the others matter less
-    with_gravity = pd.DataFrame(table)
-    net = forces.net_forces(specific, run.quaternion, airframe.mass)
-    no_gravity = with_gravity.assign(**dict(zip(("Fx", "Fy", "Fz"), net.T)))
+    known = ("onboard_valid", "imu_clipped", *rotors.rotors, *rotors.commands)
+    return [c for c in extra if not c.endswith("_sample") and c not in known]
+
+
+def _metadata(
+    material: Material, run: estimation.Run, band: bands.Band, rotors: _Actuators, valid: np.ndarray,
+    spoiling: Mapping[str, np.ndarray],
+) -> dict[str, Any]:  # fmt: skip
+    """Plain data, schema "quasi.filtered/1"."""
+    t, found, imported = material.frame["t"].to_numpy(float), material.found, material.metadata
     metadata = {
         "schema": "quasi.filtered/1",
-        "flight": imported_metadata.get("flight"),
-        "quadrotor": imported_metadata.get("quadrotor"),
-        "mass": airframe.mass,
-        "logged to rad/s": factor,
-        "inertia": np.asarray(airframe.inertia).tolist(),
-        "sampling": {"rate": rate, "samples": len(t)},
+        "flight": imported.get("flight"),
+        "quadrotor": imported.get("quadrotor"),
+        "mass": material.airframe.mass,
+        "logged to rad/s": rotors.factor,
+        "inertia": np.asarray(material.airframe.inertia).tolist(),
+        "sampling": {"rate": 1.0 / material.dt, "samples": len(t)},
         "gravity": {
             "withGravity": "force = mass x specific force",
             "noGravity": "net force",
@@ -219,21 +272,20 @@ def filter_flight(
             "value": attitude.GRAVITY,
         },
         **run.report,
-        "filters": {**band.metadata, "half length samples": reach},
+        "filters": {**band.metadata, "half length samples": band.reach},
         "phases": {
             "take-off": None if found.take_off is None or found.take_off >= len(t) else float(t[found.take_off]),
             "rest": None if found.rest is None else [float(t[found.rest.first]), float(t[found.rest.last - 1])],
-            "in flight share": float(in_flight.mean()),
+            "in flight share": float((~found.on_ground).mean()),
             "valid share": float(valid.mean()),
             "none valid because": None if valid.any() else _spoilt(spoiling),
         },
-        "imported": dict(imported_metadata),
-        "options": chosen,
-        "notes": notes,
-        "doubts": cautions(notes),
+        "imported": dict(imported),
+        "options": material.chosen,
+        "notes": material.notes,
+        "doubts": cautions(material.notes),
     }
-    metadata |= judge_flight(imported, imported_metadata, metadata, found.rest)
-    return Filtered(with_gravity, no_gravity, metadata, run.convergence)
+    return metadata | judge_flight(material.frame, imported, metadata, found.rest)
 
 
 def _unsure_words(metadata: Mapping[str, Any]) -> str:
@@ -250,52 +302,43 @@ def _spoilt(spoiling: Mapping[str, np.ndarray]) -> str:
     return "; ".join(f"{words} ({100 * share:.0f} % of the flight)" for share, words in reported)
 
 
-def _commanded(actuators: Mapping[str, np.ndarray], logged: _Logged) -> np.ndarray | None:
+def _commanded(values: Mapping[str, np.ndarray], logged: Sequence[str]) -> np.ndarray | None:
     """Commands of four rotors (N, 4), shares; None where one is not logged or none ever rises above 0."""
     names = [f"command{i}" for i in range(1, 5)]
-    if not all(name in logged.commands and name in actuators for name in names):
+    if not all(name in logged and name in values for name in names):
         return None
-    commands = np.maximum(np.stack([actuators[name] for name in names], axis=1), 0.0)
+    commands = np.maximum(np.stack([values[name] for name in names], axis=1), 0.0)
     return commands if commands.max() > 0.0 else None
 
 
 def _phases(
-    imported: pd.DataFrame,
-    metadata: Mapping[str, Any],
-    airframe: Airframe,
-    imu: measurements.Imu,
-    speeds: np.ndarray | None,
-    factor: float | None,
-    dt: float,
-    notes: list[str],
-) -> biases.Phases:
-    """Rest, take-off and flight.
-
-    speeds  (N, rotors) rad/s, or commands, or None; factor  from logged units to rad/s, None for commands
-    """
+    imported: pd.DataFrame, metadata: Mapping[str, Any], airframe: Airframe, imu: measurements.Imu, rotors: _Actuators,
+    dt: float, notes: list[str],
+) -> biases.Phases:  # fmt: skip
+    """Rest, take-off and flight."""
     position = imported[["x", "y", "z"]].to_numpy(float) if {"x", "y", "z"} <= set(imported) else None
-    idle = airframe.idle_rpm * factor if airframe.idle_rpm and factor else None
-    if airframe.idle_rpm and idle is None and any(c[0] == "w" and c[1:].isdigit() for c in imported):
+    is_measured = rotors.turning is rotors.speeds  # commands have no rotor speed at idle
+    idle = airframe.idle_rpm * rotors.factor if airframe.idle_rpm and rotors.factor and is_measured else None
+    if airframe.idle_rpm and idle is None and rotors.rotors:
         notes.append(
             "'idle RPM' is in eRPM/100 and the quadrotor's 'motor poles' are unknown: rest is found without it"
         )
-    found = biases.phases(imu.gyro, imu.accel, imu.lost, measurements.resolution(metadata), speeds, position, idle, dt)
+    resolution, speeds = measurements.resolution(metadata), rotors.turning
+    found = biases.phases(imu.gyro, imu.accel, imu.lost, resolution, speeds, position, idle, dt)
     notes += found.notes
     return found
 
 
-def _actuators(
-    actuators: Mapping[str, np.ndarray], speeds: np.ndarray | None, logged: _Logged, band: bands.Band
-) -> dict[str, np.ndarray]:
+def _actuators(rotors: _Actuators, band: bands.Band) -> dict[str, np.ndarray]:
     """Rotor speeds with their slopes, and commands, through the same low-pass as forces and moments."""
     table: dict[str, np.ndarray] = {}
-    if speeds is not None:
-        smooth, slope = band.both(speeds)
-        for i, name in enumerate(c for c in logged.rotors if c in actuators):
+    if rotors.speeds is not None:
+        smooth, slope = band.both(rotors.speeds)
+        for i, name in enumerate(c for c in rotors.rotors if c in rotors.values):
             table[name], table[f"{name}_dot"] = smooth[:, i], slope[:, i]
-    commands = [c for c in logged.commands if c in actuators]
+    commands = [c for c in rotors.commands if c in rotors.values]
     if commands:
-        table |= dict(zip(commands, band.low_pass(np.stack([actuators[c] for c in commands], axis=1)).T))
+        table |= dict(zip(commands, band.low_pass(np.stack([rotors.values[c] for c in commands], axis=1)).T))
     return table
 
 
