@@ -427,3 +427,12 @@ def test_a_change_that_the_trim_refuses_and_nothing_replaces_is_unexplained_and_
         assert (entries[0]["channel"], entries[0]["where"], entries[0]["since"]) == ("Fz", "everywhere", "changed")
         assert entries[0]["size"] == pytest.approx(0.3) and entries[0]["unit"] == "N"
         assert entries[0]["evidence"] == {"p": p, "looks like": "mass", "why not": "the trim"}
+
+
+def test_another_balance_about_yaw_is_stated_and_names_no_tilted_rotor():
+    """Torque factors of healthy sessions differ by more on some vehicles than on the one that the spreads are from."""
+    turned = 1.0 + 0.2 * SPIN
+    for found in (evidence(turned), commanded(turned)):
+        assert (found.document["names"], trim_entries(found)) == (["yaw"], ([], []))
+    (finding,) = unnamed_change(found, [])
+    assert "balance about yaw" in finding["text"] and unnamed_change(evidence(turned), []) == []

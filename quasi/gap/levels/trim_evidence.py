@@ -35,6 +35,7 @@ TRIM_CHANNELS = {"rotor_effectiveness": ["Fz", "Mx", "My"], "mass": ["Fz"], "thr
             "cg_offset": ["Mx", "My"], "rotor_tilt": ["Mz"]}  # fmt: skip
 NEEDLESS = {"mass": "other total thrust", "cg": "moved centre of gravity", "yaw": "tilted rotor"}
 OF_MOMENTS = {"cg_offset": "cg", "rotor_tilt": "yaw"}  # causes of a constant moment: their hypotheses
+BALANCE_ALONE = ["yaw"]  # names of the trim where nothing else changed
 TRIM = "trim"  # id of the finding
 NO_VOLTAGE = "its battery voltage is unknown, that of other flights is known"
 OF_TOTAL_THRUST = (*OF_THE_SAME_THRUST, SAG)  # of all rotors alike
@@ -254,13 +255,13 @@ def contradicted_by_trim(
 
 
 def unnamed_change(evidence: TrimEvidence, taken: Collection[str]) -> list[dict[str, Any]]:
-    """A finding where the trim changed, no cause that a trim shows fits it, and none is there.
+    """A finding where the trim changed, no cause that a trim names fits it, and none is there.
 
     Of flights with commands in place of measured speeds alone: elsewhere a constant force or moment
     of a flight counts as its own trim. taken  ids of the causes that have a name or stand in a tie
     """
     document = evidence.document
-    if document["word"] != "changed" or document["source"] != "commands":
+    if document.get("source") != "commands" or (document["word"] != "changed" and document["names"] != BALANCE_ALONE):
         return []
     if set(taken) & {*TRIM_CHANNELS, *OF_TOTAL_THRUST}:
         return []
@@ -277,7 +278,8 @@ def trim_entries(
     The trim knows by what healthy vehicles differ between sessions. Never where one of its causes has a name or stands
     in a tie already, nor where measured speeds are wrong: then they changed and the thrust did not. A named cause of
     the vertical force, such as a load that hangs, changes the total thrust of the trim as well: then the trim names no
-    other reason for it.
+    other reason for it. A balance about yaw that changed alone is stated and names no tilted rotor: torque factors
+    differ between the sessions of some vehicles by more than the prior spread, and moments show a tilt themselves.
     taken  ids of these; acting  channels of the named causes of forces and moments
     """
     document = evidence.document
@@ -286,6 +288,8 @@ def trim_entries(
     ids, parameters, commands = list(document["causes"]), document["parameters"], document["source"] == "commands"
     if commands and "thrust_factor" in ids:
         ids.append("battery_sag")  # more command for the same thrust: a battery asks for it as propellers do
+    if document["names"] == BALANCE_ALONE:
+        return [], []
     known = "Fz" in acting and all(TRIM_CHANNELS[i] == ["Fz"] for i in document["causes"])
     if known or set(taken) & {*ids, *OF_WRONG_SPEEDS}:
         return [], []
