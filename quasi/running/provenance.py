@@ -46,13 +46,13 @@ def save_parsed() -> None:
 
 
 @functools.cache
-def _parse_file(path: Path) -> tuple[str, tuple[str, ...]]:
+def _parse_file(path: str) -> tuple[str, tuple[str, ...]]:
     """Compute the digest of a file's syntax tree without comments, docstrings and layout, and list its imports."""
     _read_parsed()
-    content = path.read_bytes()
+    content = Path(path).read_bytes()
     key = hashlib.sha256(content).hexdigest()
     if key not in PARSED:
-        PARSED[key] = _parse(content, path)
+        PARSED[key] = _parse(content, Path(path))
         _NEW.add(key)
     digest, inside = PARSED[key]
     return digest, tuple(inside)
@@ -75,18 +75,18 @@ def _parse(content: bytes, path: Path) -> list:
 
 
 @functools.cache
-def _find_file(module: str, root: Path) -> Path | None:
-    base = root.joinpath(*module.split("."))
-    for candidate in (base.with_suffix(".py"), base / "__init__.py"):
-        if candidate.is_file():
+def _find_file(module: str, root: str) -> str | None:
+    base = os.path.join(root, *module.split("."))
+    for candidate in (f"{base}.py", os.path.join(base, "__init__.py")):
+        if os.path.isfile(candidate):
             return candidate
     return None
 
 
 @functools.cache
-def _list_imported_files(path: Path, root: Path) -> tuple[Path, ...]:
+def _list_imported_files(path: str, root: str) -> tuple[str, ...]:
     """List the files of the package that a file imports directly."""
-    found: dict[Path, None] = {}
+    found: dict[str, None] = {}
     for module in _parse_file(path)[1]:
         parts = module.split(".")
         # importing a.b.c also runs a and a.b
@@ -97,11 +97,10 @@ def _list_imported_files(path: Path, root: Path) -> tuple[Path, ...]:
     return tuple(found)
 
 
-def list_reached_files(script: str | Path, root: str | Path) -> list[Path]:
-    """List the files of the package that a script imports directly or indirectly (absolute imports), itself first."""
-    root = Path(root)
-    found: dict[Path, None] = {}
-    waiting = [Path(script)]
+def _list_reached(script: str, root: str) -> list[str]:
+    # texts, not paths: some hundred files for each of many scripts, and the hash of a path takes long
+    found: dict[str, None] = {}
+    waiting = [script]
     while waiting:
         path = waiting.pop()
         if path not in found:
@@ -110,9 +109,14 @@ def list_reached_files(script: str | Path, root: str | Path) -> list[Path]:
     return list(found)
 
 
+def list_reached_files(script: str | Path, root: str | Path) -> list[Path]:
+    """List the files of the package that a script imports directly or indirectly (absolute imports), itself first."""
+    return [Path(path) for path in _list_reached(str(Path(script)), str(Path(root)))]
+
+
 @functools.cache
 def compute_code_digest(script: str | Path, root: str | Path) -> str:
     """Compute the digest of a script and of every module it uses; comments and docstrings do not count."""
-    root = Path(root)
-    parts = sorted(f"{p.relative_to(root)}:{_parse_file(p)[0]}" for p in list_reached_files(script, root))
+    script, root = str(Path(script)), str(Path(root))
+    parts = sorted(f"{path.removeprefix(root + os.sep)}:{_parse_file(path)[0]}" for path in _list_reached(script, root))
     return hashlib.sha256("\n".join(parts).encode()).hexdigest()[:16]

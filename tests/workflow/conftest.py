@@ -41,7 +41,8 @@ MODEL = {
     },
     "identification parameters": {
         "polynomial specification file": "polyCands_DiffSys_quadraticU_symmetric_SIMPLE_FM.json",
-        "polynomial": {"regressor cap": 2},
+        # resamples are judged in tests/unit/test_fit.py and test_structure.py
+        "polynomial": {"regressor cap": 2, "bootstrap": 10},
     },
 }
 SECONDS = 18.0  # of a healthy made flight, and of those that stand against them

@@ -19,7 +19,7 @@ import threading
 import jsonschema  # noqa: F401
 import matplotlib.backends.backend_agg  # noqa: F401
 import nbformat  # noqa: F401
-import numba  # noqa: F401
+import numba
 import pandas  # noqa: F401
 import pyarrow.parquet  # noqa: F401
 import scipy.optimize
@@ -88,6 +88,7 @@ def run_program(control):
         os.close(given)
     os.environ.clear()
     os.environ.update(request["environment"])
+    numba.config.reload_config()  # the folder of compiled kernels is that of the run
     sys.argv = ["-c"]
     exec(request["program"], {"__name__": "__main__"})
     sys.exit()

@@ -24,6 +24,9 @@ pytestmark = [
 def test_what_the_real_flights_sensors_are_wrong_by_is_named_and_nothing_aerodynamic_is_called_by_it(tmp_path):
     for part in ("config", "data"):
         shutil.copytree(ROOT / "examples/nanodrone" / part, tmp_path / part)
+    model = json.loads((tmp_path / "config/models/nanodrone-13.json").read_text())
+    model["identification parameters"]["polynomial"]["bootstrap"] = 10  # of 100, of which nothing is read below
+    (tmp_path / "config/models/nanodrone-13.json").write_text(json.dumps(model))
     command = [sys.executable, "-m", "snakemake", "-s", str(ROOT / "Snakefile"), "-d", str(tmp_path), "-j2",
                "--config", f"data={SHARED}", "--", "results/gaps/nanodrone-13"]  # fmt: skip
     done = subprocess.run(command, cwd=tmp_path, text=True, stdout=subprocess.PIPE, stderr=subprocess.STDOUT)

@@ -101,9 +101,14 @@ def _vary_parameters(parameters, batch, b):
     )  # fmt: skip
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", nogil=True)
 def _run_block(parameters, batch, first, end, memory_size, steps, every, logs, status, done, room):
-    """Run drones first .. end - 1, at most eight; lanes without a drone repeat the last one."""
+    """Run drones first .. end - 1, at most eight or none; lanes without a drone repeat the last one.
+
+    It releases Python's global lock, so that several threads can run blocks at once.
+    """
+    if first == end:
+        return
     kernel, _, drive, battery, _, sensors, _, wind_table = parameters[:8]
     kind, _, reference, _, table, dt, substeps, method, limits, clock = parameters[8:]
     drones, states, packed_gains, packed_path = end - first, batch.x.shape[1], batch.gains[first], batch.path[first]
@@ -216,12 +221,13 @@ def _run_block(parameters, batch, first, end, memory_size, steps, every, logs, s
             status[first + lane], done[first + lane] = STATUS_FINE, steps
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
 def run_batch_part(parameters, batch, first, stop, memory, steps, every, logs, status, done, room):
     """Run simulations first .. stop - 1 of a batch; fill logs (B, rows, log size), status (B,) and done (B,).
 
-    room  of `make_block_memory`. It releases Python's global lock, so that several threads can run parts at once.
+    room  of `make_block_memory`. Plain Python: a compiled loop would have all of a block compiled into it again.
     """
+    if first == stop:  # compiles
+        _run_block(parameters, batch, first, stop, memory, steps, every, logs, status, done, room)
     while first < stop:
         end = _find_block_end(parameters, batch, first, stop)
         _run_block(parameters, batch, first, end, memory, steps, every, logs, status, done, room)

@@ -91,6 +91,7 @@ def run_windows(
     for i in range(4):
         step_inputs[ROOT_EFFECTIVENESS + i], step_inputs[SPEED_CAP + i] = 1.0, np.inf
     steps = out.shape[1] - 1
+    method = np.int64(RK4)  # as a literal it would be a type of its own, for which a step is compiled again
     for s in range(first, stop):
         for i in range(len(x)):
             x[i] = begin[s, i]
@@ -122,7 +123,7 @@ def run_windows(
                 trim_extra_states(x, step_inputs, kernel, mine, inputs, work, loads)
             for _ in range(substeps):
                 integrate_step(
-                    RK4,
+                    method,
                     dt / substeps,
                     x,
                     step_inputs,
