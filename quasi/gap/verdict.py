@@ -17,7 +17,7 @@ from quasi.gap.effect import Effect
 from quasi.gap.entries import needed
 from quasi.gap.flights.covariates import EVERYWHERE, where_in_words
 from quasi.gap.levels.forces import unexplained
-from quasi.gap.levels.forces.beyond_references import left_beyond_references, less_usual_differences
+from quasi.gap.levels.forces.beyond_references import grown_by, left_beyond_references, less_usual_differences
 from quasi.gap.levels.forces.case import Case
 from quasi.gap.levels.forces.error_reduction import after, wrench_score
 from quasi.gap.levels.forces.findings import gusts
@@ -431,12 +431,16 @@ def refused_changes(case: Case, found: Found) -> list[dict[str, Any]]:
             continue
         effect = case.effects[name]
         values = {effect.fitted[k]: float(v) for k, v in zip(test.offer.which, test.value)}
-        flights = [f for f, flag in zip(case.learning, case.compared) if flag]
+        flights, usual = (
+            [f for f, flag in zip(case.learning, case.compared) if flag is side] for side in (True, False)
+        )
         made = np.mean([np.mean(whole_of(effect, f, case.vehicle, values) ** 2, axis=0) for f in flights], axis=0)
         own = np.mean([np.mean(f.residual**2, axis=0) for f in flights], axis=0)
         axes = [k for k in seen_in(effect) if not any(k in f.excluded for f in case.learning)]
         if axes:
-            k = max(axes, key=lambda k: made[k] / max(own[k], 1e-300))
+            # it may have been refused for an axis that shows no change: the axis whose errors grew most is reported
+            sides = grown_by(flights, usual) * (made > 0.0) if usual else made / np.maximum(own, 1e-300)
+            k = max(axes, key=lambda k: sides[k])
             entries.append({
                 "channel": AXES[k], "where": EVERYWHERE, "judged": False, "share": None, "since": "changed",
                 "size": float(np.sqrt(own[k])), "unit": "N" if k < 3 else "N m", "mostly": [],

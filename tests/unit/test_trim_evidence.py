@@ -436,3 +436,16 @@ def test_another_balance_about_yaw_is_stated_and_names_no_tilted_rotor():
         assert (found.document["names"], trim_entries(found)) == (["yaw"], ([], []))
     (finding,) = unnamed_change(found, [])
     assert "balance about yaw" in finding["text"] and unnamed_change(evidence(turned), []) == []
+
+
+def test_a_refused_change_is_reported_at_the_axis_whose_errors_grew(monkeypatch):
+    """A mast rocked in pitch. It looked like a thrust curve, which Mx refused; Fz was reported, without any change."""
+    monkeypatch.setattr(verdict, "whole_of", lambda *about: np.tile([0.0, 0.0, 9.0, 1e-3, 1e-3, 0.0], (10, 1)))
+    wave = np.where(np.arange(10) % 2 == 0, 1.0, -1.0)[:, None]
+    healthy = wave * [1.0, 1.0, 2.0, 0.1, 0.1, 0.1] + [0.0, 0.0, 0.0, 0.3, 0.3, 0.0]
+    rocked = healthy * [1.0, 1.0, 0.9, 1.2, 1.2, 1.0] + 0.3 * wave * [0.0, 0.0, 0.0, 0.0, 1.0, 0.0]
+    flights = [SimpleNamespace(excluded=(), residual=r) for r in (healthy, rocked)]
+    case = SimpleNamespace(effects=catalogue(), learning=flights, compared=[False, True], vehicle=None, trim=None)
+    test = mixed.Test(mixed.Candidate("thrust_curve", "changed", (0,)), np.array([1e-5]), np.eye(1), 1.0, 30.0, 1e-6)
+    found = SimpleNamespace(refused={"thrust_curve": (test, "Mx")}, level={"changed": 1e-3})
+    assert [e["channel"] for e in verdict.refused_changes(case, found)] == ["My"]

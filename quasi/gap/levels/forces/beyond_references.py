@@ -81,6 +81,16 @@ def less_usual_differences(left: Callable[[Evidence], np.ndarray]) -> Callable[[
     return rest
 
 
+def grown_by(flights: Sequence[Evidence], usual: Sequence[Evidence]) -> np.ndarray:
+    """Factor (6,) by which squared residuals exceed the usual ones: as they stand or, where larger, about the means."""
+
+    def powers(of: Sequence[Evidence]) -> np.ndarray:
+        about = np.mean([_power(f.residual) for f in of], axis=0)
+        return np.stack([about, np.mean([np.mean(f.residual**2, axis=0) for f in of], axis=0)])
+
+    return np.max(powers(flights) / np.maximum(powers(usual), 1e-300), axis=0)
+
+
 def _power(values: np.ndarray) -> np.ndarray:
     """Mean square (6,) about the mean."""
     return np.var(values, axis=0)
