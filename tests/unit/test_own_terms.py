@@ -8,7 +8,7 @@ from test_constant_loads import worthy_flights
 from test_gap_halves import flown, stronger
 from test_gap_of_references import SETTINGS
 
-from quasi.gap import base_model, diagnosis
+from quasi.gap import base_model, diagnosis, preparation
 from quasi.gap.base_model import faked_axes, refit_loses
 from quasi.gap.catalogue import catalogue
 from quasi.gap.effect import vehicle_of
@@ -47,8 +47,8 @@ def test_a_model_that_keeps_its_terms_is_judged_by_them(loses, excluded, monkeyp
         key: replace(e, key=key, measured=e.predicted, predicted=e.predicted + 2.0 * e.only("Fy", e.predicted[:, 1]))
         for key, e in zip(("f0", "f1"), flights)
     }
-    monkeypatch.setattr(diagnosis, "made_of", lambda *_: True)
-    monkeypatch.setattr(diagnosis, "refit_loses", lambda *_: loses)
+    monkeypatch.setattr(preparation, "made_of", lambda *_: True)
+    monkeypatch.setattr(preparation, "refit_loses", lambda *_: loses)
     level = {n: [] for n in ("effects", "ties", "findings", "candidates", "cannot_be_asked", "notes")}
     level |= {"found on": {"channels": list("pqr"), "healthy": {}, "worth": {}}}
     calibration = {"levels": {"sensors": level, "drive": level}, "causes": [{"id": "imu_lever_arm", "since": "always"}]}

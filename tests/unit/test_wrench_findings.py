@@ -74,7 +74,7 @@ def test_restless_air_is_nothing_unknown_that_a_name_gives_way_to(ground, axes):
     case = Case(model, {effect.id: effect}, vehicle, learning, compared, held, {}, [], (), settings)
     study = gather_design(learning, {effect.id: effect}, vehicle)
     test = SimpleNamespace(p=3e-4, offer=Candidate(effect.id, "changed", (0,)))
-    cause = SimpleNamespace(effect=effect, since="changed", value={"factor": -0.05}, apart=1.0, test=test)
+    cause = SimpleNamespace(effect=effect, since="changed", value={"factor": -0.05}, apart=2.0, test=test)
     settled = Settled([cause], [], {(effect.id, "changed"): Confirmation("", 1.0, 0.1, 5.0)}, {}, [])
     found, left = SimpleNamespace(study=study, ties=[], stand_ins=[]), SimpleNamespace(entries=[])
     stands = bool(gusts(study, compared, [effect.id]))
