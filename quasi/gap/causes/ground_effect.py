@@ -2,8 +2,8 @@
 
 from quasi.gap.effect import Effect, Parameter, Terms, Values, Vehicle, hub_position, least, most, number, thrust_wrench
 
-# Rotor radii. By measurements (Prouty, Helicopter Performance, Stability, and Control, 1986, chapter 1) the induced
-# velocity falls to 0.72 at R/2, where the formula gives 0.75, and levels off: 0.63 at R/4, where the formula gives 0.
+# Rotor radii: a choice. For one rotor (c = 1) the formula has its pole at R/4; at R/2 it gives a third more thrust.
+# Below, a few rows of a take-off would decide c.
 LEAST_HUB_HEIGHT = 0.5
 MOST_GROUND_EFFECT = 0.6  # of c (R/4h)^2: above, the formula runs towards its pole, where no rotor has been measured
 

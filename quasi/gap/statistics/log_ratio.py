@@ -4,6 +4,7 @@ import numpy as np
 from scipy.stats import t as t_distribution
 
 BY_EFFORT = 0.05  # largest p with which errors grew more than the motion that was flown
+LEAST_FLIGHTS = 2  # compared ones, and reference ones, for a spread between flights
 PRIOR_FLIGHTS = 10.0  # flights that the usual spread between healthy flights counts as
 
 

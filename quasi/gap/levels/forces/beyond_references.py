@@ -17,11 +17,9 @@ from quasi.gap.flights.covariates import UNPLACED
 from quasi.gap.flights.evidence import Evidence
 from quasi.gap.levels.forces.design import ROW_MEMORY
 from quasi.gap.levels.forces.nuisance import nuisances, session_nuisances
-from quasi.gap.statistics.log_ratio import BY_EFFORT, beyond_references
+from quasi.gap.statistics.log_ratio import BY_EFFORT, LEAST_FLIGHTS, beyond_references
 from quasi.gap.statistics.memory import lagged_products, lags_of_flight
 from quasi.model.model import AXES
-
-LEAST_FLIGHTS = 2  # of either kind, for a spread between flights
 
 
 def left_beyond_references(

@@ -10,7 +10,7 @@ from scipy.signal import butter, sosfiltfilt
 from quasi.gap.flights.evidence import GAP_SAMPLES
 from quasi.gap.flights.level import Flown
 from quasi.gap.flights.residual_tables import FAR_LAG
-from quasi.gap.statistics.log_ratio import BY_EFFORT, PRIOR_FLIGHTS, beyond_references, larger
+from quasi.gap.statistics.log_ratio import BY_EFFORT, LEAST_FLIGHTS, PRIOR_FLIGHTS, beyond_references, larger
 from quasi.gap.statistics.memory import MEMORY_S, lagged_products
 
 LOST_ON_BOARD = 0.0  # s a log may lose unmentioned
@@ -23,7 +23,6 @@ MORE_MEMORY = 0.05  # largest p with which a larger share of the errors comes ba
 SECONDS = 0.5  # s, of the pieces whose median is the flight's level
 LOUD = 1.0  # m/s2 above which vibration is stated whatever other flights show
 LOUDER_VIBRATION = 1.3  # times the reference flights'
-LEAST_FLIGHTS = 2  # of either kind, for a spread between flights
 VIBRATION_SPREAD = 0.15  # natural log, spread of the level between healthy flights
 
 
