@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -11,8 +11,9 @@ from quasi.airframe import Airframe
 from quasi.errors import DataError, ExpressionError, nearest
 from quasi.identification.candidates import BIAS, Specification, Term
 from quasi.identification.evidence import Totals, interchangeable
+from quasi.identification.offsets import LessOffsets, less_means, shares
 from quasi.identification.partition import TRAINING
-from quasi.identification.products import Pool
+from quasi.identification.products import Pool, Products
 from quasi.identification.redundancy import drop_redundant
 from quasi.identification.regression import Fit, least_squares, memory_window
 from quasi.identification.steps import biases
@@ -27,6 +28,8 @@ from quasi.terms.variables import Variables, base_columns, derive_unit
 AXIS_UNITS = {**dict.fromkeys(("Fx", "Fy", "Fz"), "N"), **dict.fromkeys(("Mx", "My", "Mz"), "N m")}
 ROTORS = ("w1", "w2", "w3", "w4")
 NEAR_KEPT = 128  # candidates that came near being chosen, among which flights are left out and data resampled
+OFFSET_ROUNDS = 3  # of choosing terms and of estimating how much flights differ by a constant
+SAME_SHARE = 0.02  # of a flight's means: a change that chooses no other terms
 CONSTANT = Term(BIAS, ("number", 1.0))
 
 
@@ -84,7 +87,7 @@ def fit_axis(
     fixed = len(first) + len(free)
     pool = Pool(trees, fixed, blocks, targets, rows, specification.bias)
     options = options_of(config, len(specification.candidates))
-    selection, near, held_out = choose(pool, options, config, described, total, rows)
+    selection, near, held_out, share, products = choose(pool, options, config, described, total, rows)
     chosen = [*range(fixed), *selection.chosen]
     log = [{**e, "bias": b} for e, b in zip(selection.log, biases(selection.log, pool, described))]
     if not chosen:
@@ -92,15 +95,17 @@ def fit_axis(
 
     program = Program([trees[k] for k in chosen])
     columns = np.vstack([program.run(block, len(z)).T for block, z in zip(blocks, targets)])
-    fit = least_squares(columns, np.concatenate(targets), rows)
+    sizes = [len(z) for z in targets]
+    fit = least_squares(*(less_means(v, sizes, share) for v in (columns, np.concatenate(targets))), rows)
+    left = np.concatenate(targets) - columns @ fit.coefficients
     estimated = [described[k] for k in chosen]
     entries = _terms(axis, specification, terms, chosen, fixed, fit)
     if normalisation:
         entries = [{**entry, "unit": "1"} for entry in entries]
-    alike = interchangeable(Totals(pool), chosen, selection.bandwidth)
+    alike = interchangeable(Totals(products), chosen, selection.bandwidth)
     _add_rivals(entries, alike, described)
-    resampled = _resample(pool, near, selection, options, config, described, entries)
-    measured, residuals = (raw, fit.residuals) if scales is None else (raw * scales, fit.residuals * scales)
+    resampled = _resample(pool, products, near, selection, options, config, described, entries)
+    measured, residuals = (raw, left) if scales is None else (raw * scales, left * scales)
     error, total = float(residuals @ residuals), float(np.sum((measured - measured.mean()) ** 2))
     return {
         "schema": "quasi.identified/1",
@@ -110,7 +115,7 @@ def fit_axis(
         "terms": entries,
         "estimated": estimated,
         "covariance": fit.covariance.tolist(),
-        "sigma2": fit.sigma2,
+        "sigma2": float(left @ left) / (len(left) - len(chosen)),
         "R2": 1.0 - error / total,
         "RMSE": float(np.sqrt(error / len(raw))),
         "n": len(raw),
@@ -127,6 +132,7 @@ def fit_axis(
         "duplicates": [list(pair) for pair in specification.duplicates],
         "unusable": {described[k]: why for k, why in pool.unusable.items()},
         "flights": {key: len(z) for key, z in zip(series, targets)},
+        "share of flight means taken off": dict(zip(series, share.tolist())),
         "dropped rows": dropped,
         "notes": repeated
         + _notes(axis, dropped, pool, described)
@@ -161,26 +167,57 @@ def options_of(config: Mapping[str, Any], candidates: int) -> Options:
     )
 
 
+class Choice(NamedTuple):
+    """What `choose` found: the selection, the columns that came near, the result of leaving flights out or None, and
+    the share (F,) of each flight's means that is taken off, with the products that this leaves."""
+
+    selection: Selection
+    near: list[int]
+    held_out: dict[str, Any] | None
+    share: np.ndarray
+    products: Products
+
+
 def choose(
     pool: Pool, options: Options, config: Mapping[str, Any], names: list[str], total: float, series: list[np.ndarray]
+) -> Choice:
+    """Select the terms, and with them how much flights differ by a constant; the manual's test knows none."""
+    share = np.zeros(len(series))
+    products: Products = pool
+    for _ in range(OFFSET_ROUNDS):
+        selection, near, held_out = _choose(pool, products, share, options, config, names, total, series)
+        columns = [*range(pool.fixed), *selection.chosen]
+        if not (pool.constant and options.test == "significance"):
+            break
+        before, share = share, shares(pool, columns, pool.residuals(columns, products.coefficients(columns)), series)
+        products = LessOffsets(pool, share) if share.any() else pool
+        if np.allclose(share, before, atol=SAME_SHARE):
+            break
+        total = float(products.target_square.sum() - products.target[:, 0].sum() ** 2 / products.square[:, 0].sum())
+    return Choice(selection, near, held_out, share, products)
+
+
+def _choose(
+    pool: Pool, products: Products, share: np.ndarray, options: Options, config, names, total: float, series
 ) -> tuple[Selection, list[int], dict[str, Any] | None]:
-    """Select the terms: (selection, columns that came near, result of leaving flights out or None)."""
     known: dict[tuple[int, ...], int] = {}
+    sizes = [len(rows) for rows in series]
 
     def memory(columns: list[int]) -> int:
         key = tuple(sorted(columns))
         if key not in known:
-            known[key] = 1 + round(memory_window(pool.residuals(columns), series) / pool.length)
+            left = less_means(pool.residuals(columns, products.coefficients(columns)), sizes, share)
+            known[key] = 1 + round(memory_window(left, series) / pool.length)
         return known[key]
 
     about = {"unusable": pool.unusable, "constant": pool.constant}
     if config.get("structure choice", "entry test") == "entry test":
-        selection = select(pool, options, names, total, memory=memory, **about)
+        selection = select(products, options, names, total, memory=memory, **about)
         return selection, _near(pool, selection), None
     bare = Options(cap=options.cap, f_in=0.0, f_out=0.0, stop="none")
-    near = _near(pool, select(pool, bare, names, total, **about))
-    found = leave_one_flight_out(pool.subset(near), options.cap, [names[k] for k in near], pool.constant)
-    selection = select(pool, replace(bare, cap=found["steps"]), names, total, **about)
+    near = _near(pool, select(products, bare, names, total, **about))
+    found = leave_one_flight_out(products.subset(near), options.cap, [names[k] for k in near], pool.constant)
+    selection = select(products, replace(bare, cap=found["steps"]), names, total, **about)
     reason = (
         f"left-out flights are predicted as well after {found['steps']} steps as after any number up to {options.cap} "
         f"(the smallest error is that after {found['smallest at']})"
@@ -194,14 +231,14 @@ def _near(pool: Pool, selection: Selection) -> list[int]:
     return [*range(pool.fixed), *sorted(order)]
 
 
-def _resample(pool, near, selection, options, config, names, entries) -> dict[str, Any] | None:
+def _resample(pool, products, near, selection, options, config, names, entries) -> dict[str, Any] | None:
     resamples = int(config.get("bootstrap", 0))
     if not resamples or len(near) == pool.fixed:
         return None
     if config.get("structure choice", "entry test") != "entry test":
         options = Options(cap=len(selection.log) - 1, f_in=0.0, f_out=0.0, stop="none")
     shown = [names[k] for k in near]
-    found = inclusion(pool.subset(near), options, shown, pool.constant, resamples, selection.bandwidth)
+    found = inclusion(products.subset(near), options, shown, pool.constant, resamples, selection.bandwidth)
     share = dict(zip(shown, found["share"]))
     place = {name: i for i, name in enumerate(shown)}
     for term in entries:

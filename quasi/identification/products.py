@@ -49,6 +49,13 @@ class Products:
         """Products (B, m) of a column with all columns; `promising` (m,) ranks what else may be wanted soon."""
         return self.crossed[column]
 
+    def coefficients(self, columns: Sequence[int]) -> np.ndarray:
+        """Least squares (p,) of the target on some columns."""
+        columns = list(columns)
+        gram = np.array([self.cross(k)[:, columns].sum(axis=0) for k in columns])
+        scale = np.sqrt(np.diag(gram))
+        return np.linalg.solve(gram / np.outer(scale, scale), self.target[:, columns].sum(axis=0) / scale) / scale
+
     def merged(self, group: np.ndarray) -> "Products":
         """The same over larger stretches: group (B,) is the new number of each cell, every cell of one flight."""
         count = int(group.max()) + 1
@@ -208,12 +215,9 @@ class Pool(Products):
             self._blank(products)
             self.crossed[k] = products
 
-    def residuals(self, columns: Sequence[int]) -> np.ndarray:
-        """What is left (n,) of the target after least squares on some columns."""
+    def residuals(self, columns: Sequence[int], theta: np.ndarray) -> np.ndarray:
+        """What is left (n,) of the target after some columns with coefficients theta; a constant is not taken off."""
         columns = list(columns)
-        gram = np.array([self.cross(k)[:, columns].sum(axis=0) for k in columns])
-        scale = np.sqrt(np.diag(gram))
-        theta = np.linalg.solve(gram / np.outer(scale, scale), self.target[:, columns].sum(axis=0) / scale) / scale
         shift = self.shift[columns][:, None]
         program = Program([self._trees[k] for k in columns])
         return np.concatenate([z - theta @ (x - shift) for x, z, _ in self._chunks(program)])

@@ -1,0 +1,133 @@
+"""Flights that differ by a constant: a battery seated elsewhere, a bias of the day.
+
+One intercept over all flights puts such constants into the slopes: where the trim of the rotors balances the moment of
+a displaced cg, the moment is that of another trim, and the lever comes out too short. The intercept of flight f is
+therefore drawn about a common one, with the variance tau2 between flights:
+
+    z_f = X_f theta + u_f + e_f,    var u_f = tau2,    psi_f = tau2 n_f / (M sigma2 + tau2 n_f)
+
+n_f are its rows, M the rows over which residuals of variance sigma2 resemble each other. Generalised least squares of
+this model is least squares after the share 1 - sqrt(1 - psi_f) of a flight's means has been taken off both sides. With
+tau2 = 0 that is one intercept; with a large tau2 only what varies within flights counts, and in between flights at
+constant speeds keep what they show between them.
+
+Source: Fuller & Battese, Journal of the American Statistical Association 68, 1973 (the share of the means); Patterson
+& Thompson, Biometrika 58, 1971 (tau2 by restricted likelihood).
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+from scipy.optimize import minimize_scalar
+
+from quasi.identification.products import Pool, Products
+from quasi.identification.regression import flat_top, memory_window
+from quasi.identification.structure import TARGET_ROUNDING
+
+RATIOS = (1e-6, 1e6)  # of tau2 to the variance of a flight's mean: from none to all
+
+
+class LessOffsets(Products):
+    """Products after a share of each flight's means is taken off columns and target.
+
+    products  the first of their columns is the constant
+    share     (F,) of the means, per flight in order of their numbers
+    """
+
+    def __init__(self, products: Products, share: np.ndarray) -> None:
+        self.whole, self.share = products, share
+        flights, place = np.unique(products.flight, return_inverse=True)
+        gather = (place == np.arange(len(flights))[:, None]).astype(float)
+        rows = gather @ products.rows
+        self._sums = products.cross(0)
+        self._means = ((gather @ self._sums) / rows[:, None])[place]
+        self._part = share[place]
+        z, total = ((gather @ products.target_sum) / rows)[place], products.target_sum
+        n, s = products.rows, self._part
+        both = self._means * total[:, None] + z[:, None] * self._sums
+        super().__init__(
+            products.fixed,
+            n,
+            products.flight,
+            self._less(products.square, n, self._means, self._sums),
+            products.target - s[:, None] * both + (s**2 * n * z)[:, None] * self._means,
+            products.target_square - 2.0 * s * z * total + s**2 * n * z**2,
+            total - s * n * z,
+        )
+
+    def _less(self, products: np.ndarray, rows: np.ndarray, mean: np.ndarray, total: np.ndarray) -> np.ndarray:
+        # products (B, m) of a column, whose flight means and cell sums are given, with all columns
+        s, n = self._part[:, None], rows[:, None]
+        return products - s * (mean * self._sums + self._means * total) + s**2 * n * mean * self._means
+
+    def cross(self, column: int, promising: np.ndarray | None = None) -> np.ndarray:
+        """Products (B, m) of a column with all columns; `promising` (m,) ranks what else may be wanted soon."""
+        if column not in self.crossed:
+            known = self.whole.cross(column, promising)
+            self.crossed[column] = self._less(known, self.rows, self._means[:, [column]], self._sums[:, [column]])
+        return self.crossed[column]
+
+    def subset(self, columns: Sequence[int]) -> Products:
+        """All products among some of the columns, the fixed ones first."""
+        part = LessOffsets(self.whole.subset(columns), self.share)
+        for k in range(len(columns)):
+            part.cross(k)
+        return part
+
+
+def less_means(values: np.ndarray, sizes: Sequence[int], share: np.ndarray) -> np.ndarray:
+    """Values (n, ...) of flights of so many rows (F,), less a share (F,) of each flight's mean."""
+    out, start = np.array(values, float), 0
+    for size, part in zip(sizes, share):
+        rows = slice(start, start + size)
+        start += size
+        if size and part:
+            out[rows] -= part * out[rows].mean(axis=0)
+    return out
+
+
+def shares(pool: Pool, columns: Sequence[int], residuals: np.ndarray, series: Sequence[np.ndarray]) -> np.ndarray:
+    """Share (F,) of each flight's means that generalised least squares takes off, for a model of some columns.
+
+    residuals (n,) of that model; series  row numbers per flight
+    tau2 is the maximum of the restricted likelihood. With one flight, or rows that leave nothing, it is 0.
+    """
+    columns = list(columns)
+    sizes = [len(rows) for rows in series]
+    flights, place = np.unique(pool.flight, return_inverse=True)
+    if len(flights) < 2:
+        return np.zeros(len(flights))
+    within = less_means(residuals, sizes, np.ones(len(sizes)))
+    energy = float(within @ within)
+    if energy <= TARGET_ROUNDING * float(pool.target_square.sum()):
+        return np.zeros(len(flights))
+    memory = max(flat_top(within[:, None], series, memory_window(within, series))[0, 0] / energy, 1.0)
+    gather = (place == np.arange(len(flights))[:, None]).astype(float)
+    rows = gather @ pool.rows
+    mean = np.column_stack([gather @ pool.cross(0)[:, columns], gather @ pool.target_sum]) / rows[:, None]
+    gram = np.array([pool.cross(k)[:, columns].sum(axis=0) for k in columns])
+    target = pool.target[:, columns].sum(axis=0)
+    both = np.block([[gram, target[:, None]], [target[None], np.array([[pool.target_square.sum()]])]])
+    scale = np.sqrt(np.maximum(np.diag(both), 1e-300))
+    both, mean = both / np.outer(scale, scale), mean / scale
+    freedom = float(rows.sum()) / memory - len(columns)
+    if freedom <= 0.0:
+        return np.zeros(len(flights))
+
+    def taken(ratio: float) -> np.ndarray:
+        return ratio * rows / (memory + ratio * rows)
+
+    def criterion(ratio: float) -> float:
+        """Twice the negative restricted log-likelihood, less constants."""
+        left = (both - (mean.T * (taken(ratio) * rows)) @ mean) / memory
+        (sign, size), (whole, log) = np.linalg.slogdet(left[:-1, :-1]), np.linalg.slogdet(left)
+        if sign <= 0.0 or whole <= 0.0:
+            return np.inf
+        # the Schur complement is the squared error
+        return float(freedom * (log - size) + size - np.sum(np.log1p(-taken(ratio))))
+
+    about = memory / float(np.mean(rows))
+    found = minimize_scalar(lambda x: criterion(about * np.exp(x)), bounds=np.log(RATIOS), method="bounded")
+    if criterion(0.0) <= found.fun:
+        return np.zeros(len(flights))
+    return 1.0 - np.sqrt(1.0 - taken(about * np.exp(found.x)))
