@@ -11,7 +11,7 @@ from quasi.airframe import Airframe
 from quasi.errors import DataError, ExpressionError, nearest
 from quasi.identification.candidates import BIAS, Specification, Term
 from quasi.identification.evidence import Totals, interchangeable
-from quasi.identification.offsets import LessOffsets, less_means, shares
+from quasi.identification.offsets import LessOffsets, less_means, shares_of_pool
 from quasi.identification.partition import TRAINING
 from quasi.identification.products import Pool, Products
 from quasi.identification.redundancy import drop_redundant
@@ -189,7 +189,8 @@ def choose(
         columns = [*range(pool.fixed), *selection.chosen]
         if not (pool.constant and options.test == "significance"):
             break
-        before, share = share, shares(pool, columns, pool.residuals(columns, products.coefficients(columns)), series)
+        left = pool.residuals(columns, products.coefficients(columns))
+        before, share = share, shares_of_pool(pool, columns, left, series)
         products = LessOffsets(pool, share) if share.any() else pool
         if np.allclose(share, before, atol=SAME_SHARE):
             break

@@ -11,7 +11,7 @@ import numpy as np
 
 from quasi.airframe import Airframe
 from quasi.errors import DataError
-from quasi.identification.regression import least_squares
+from quasi.identification.offsets import fit_with_offsets
 from quasi.sensor_limits import describe_impossible_inertia
 from quasi.terms.expressions import Program, parse
 from quasi.terms.variables import Variables
@@ -122,7 +122,7 @@ def _slopes(prepared: Mapping[str, tuple], airframe: Airframe, axis: str) -> tup
     stacked = np.concatenate(columns)
     used = [k for k in range(stacked.shape[1]) if k < 4 or stacked[:, k].any()]
     try:
-        fit = least_squares(stacked[:, used], np.concatenate(target), series)
+        fit = fit_with_offsets(stacked[:, used], np.concatenate(target), series)
     except DataError:  # too few rows, a rotor that stands still: others say so
         return None
     return fit.coefficients[:4], np.sqrt(np.diag(fit.covariance)[:4])

@@ -16,14 +16,15 @@ Source: Fuller & Battese, Journal of the American Statistical Association 68, 19
 """
 
 from collections.abc import Sequence
+from itertools import pairwise
 
 import numpy as np
 from scipy.optimize import minimize_scalar
 
 from quasi.identification.products import Pool, Products
-from quasi.identification.regression import flat_top, memory_window
-from quasi.identification.structure import TARGET_ROUNDING
+from quasi.identification.regression import Fit, flat_top, least_squares, memory_window
 
+TARGET_ROUNDING = 1e-12  # of the target's squares, that a difference of products is known to: less of an error is none
 RATIOS = (1e-6, 1e6)  # of tau2 to the variance of a flight's mean: from none to all
 
 
@@ -86,33 +87,47 @@ def less_means(values: np.ndarray, sizes: Sequence[int], share: np.ndarray) -> n
     return out
 
 
-def shares(pool: Pool, columns: Sequence[int], residuals: np.ndarray, series: Sequence[np.ndarray]) -> np.ndarray:
-    """Share (F,) of each flight's means that generalised least squares takes off, for a model of some columns.
-
-    residuals (n,) of that model; series  row numbers per flight
-    tau2 is the maximum of the restricted likelihood. With one flight, or rows that leave nothing, it is 0.
-    """
+def shares_of_pool(
+    pool: Pool, columns: Sequence[int], residuals: np.ndarray, series: Sequence[np.ndarray]
+) -> np.ndarray:
+    """As `shares`, for the model of some columns of a pool, whose residuals (n,) are known."""
     columns = list(columns)
-    sizes = [len(rows) for rows in series]
     flights, place = np.unique(pool.flight, return_inverse=True)
-    if len(flights) < 2:
-        return np.zeros(len(flights))
-    within = less_means(residuals, sizes, np.ones(len(sizes)))
-    energy = float(within @ within)
-    if energy <= TARGET_ROUNDING * float(pool.target_square.sum()):
-        return np.zeros(len(flights))
-    memory = max(flat_top(within[:, None], series, memory_window(within, series))[0, 0] / energy, 1.0)
     gather = (place == np.arange(len(flights))[:, None]).astype(float)
-    rows = gather @ pool.rows
-    mean = np.column_stack([gather @ pool.cross(0)[:, columns], gather @ pool.target_sum]) / rows[:, None]
+    sums = np.column_stack([gather @ pool.cross(0)[:, columns], gather @ pool.target_sum])
     gram = np.array([pool.cross(k)[:, columns].sum(axis=0) for k in columns])
     target = pool.target[:, columns].sum(axis=0)
     both = np.block([[gram, target[:, None]], [target[None], np.array([[pool.target_square.sum()]])]])
-    scale = np.sqrt(np.maximum(np.diag(both), 1e-300))
-    both, mean = both / np.outer(scale, scale), mean / scale
-    freedom = float(rows.sum()) / memory - len(columns)
+    return _shares(both, sums, residuals, series)
+
+
+def shares(columns: np.ndarray, target: np.ndarray, series: Sequence[np.ndarray]) -> np.ndarray:
+    """Share (F,) of each flight's means that generalised least squares takes off.
+
+    columns (n, p), a constant among them; target (n,); series  row numbers per flight, which cover the rows in order
+    tau2 is the maximum of the restricted likelihood. With one flight, or residuals that are rounding, it is 0.
+    """
+    both = np.column_stack([columns, target])
+    ends = np.cumsum([0, *(len(rows) for rows in series)])
+    sums = np.array([both[i:j].sum(axis=0) for i, j in pairwise(ends)])
+    residuals = target - columns @ np.linalg.lstsq(columns, target, rcond=None)[0]
+    return _shares(both.T @ both, sums, residuals, series)
+
+
+def _shares(both: np.ndarray, sums: np.ndarray, residuals: np.ndarray, series: Sequence[np.ndarray]) -> np.ndarray:
+    # both (p + 1, p + 1): products of columns and target; sums (F, p + 1) of them per flight
+    sizes = [len(rows) for rows in series]
+    rows, none = np.array(sizes, float), np.zeros(len(sizes))
+    within = less_means(residuals, sizes, np.ones(len(sizes)))
+    energy = float(within @ within)
+    if np.count_nonzero(rows) < 2 or energy <= TARGET_ROUNDING * both[-1, -1]:
+        return none
+    memory = max(flat_top(within[:, None], series, memory_window(within, series))[0, 0] / energy, 1.0)
+    freedom = float(rows.sum()) / memory - (len(both) - 1)
     if freedom <= 0.0:
-        return np.zeros(len(flights))
+        return none
+    scale = np.sqrt(np.maximum(np.diag(both), 1e-300))
+    both, mean = both / np.outer(scale, scale), sums / scale / np.maximum(rows, 1.0)[:, None]
 
     def taken(ratio: float) -> np.ndarray:
         return ratio * rows / (memory + ratio * rows)
@@ -128,6 +143,16 @@ def shares(pool: Pool, columns: Sequence[int], residuals: np.ndarray, series: Se
 
     about = memory / float(np.mean(rows))
     found = minimize_scalar(lambda x: criterion(about * np.exp(x)), bounds=np.log(RATIOS), method="bounded")
-    if criterion(0.0) <= found.fun:
-        return np.zeros(len(flights))
-    return 1.0 - np.sqrt(1.0 - taken(about * np.exp(found.x)))
+    return 1.0 - np.sqrt(1.0 - taken(about * np.exp(found.x))) if found.fun < criterion(0.0) else none
+
+
+def fit_with_offsets(columns: np.ndarray, target: np.ndarray, series: Sequence[np.ndarray]) -> Fit:
+    """Least squares of target (n,) on columns (n, p) and a constant, the last, where flights differ by a constant.
+
+    Raises DataError as `least_squares` does.
+    """
+    constant = np.ones((len(columns), 1))
+    whole = np.hstack([columns / np.maximum(np.abs(columns).max(axis=0), 1e-300), constant])
+    share, sizes = shares(whole, target, series), [len(rows) for rows in series]
+    both = less_means(np.hstack([columns, constant, target[:, None]]), sizes, share)
+    return least_squares(both[:, :-1], both[:, -1], series)

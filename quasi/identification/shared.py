@@ -14,6 +14,7 @@ from quasi.attitude import GRAVITY
 from quasi.errors import DataError
 from quasi.identification.actuators import actuators
 from quasi.identification.geometry import OTHER_MOMENT_TERMS, contradicting_places, contradictions
+from quasi.identification.offsets import fit_with_offsets
 from quasi.identification.partition import TRAINING
 from quasi.identification.regression import least_squares
 from quasi.identification.rotor_speeds import actuators_of, command_kind, factors_of, places_of
@@ -179,7 +180,7 @@ def hover_speed(values: Mapping[str, np.ndarray], mass: float) -> float | None:
     return float(np.sqrt(mass * GRAVITY / (4 * factor))) if factor > 0 else None
 
 
-# factor: (regressor, target, unit); each is fitted together with what else acts on its axis, through the origin
+# factor: (regressor, target, unit); each is fitted together with what else acts on its axis, thrust through the origin
 _FACTORS = {
     "kappaFz": ("4*w_avg^2", "thrust", "N s2/rad2"),
     "kappaMx": ("U_p", "Mx", "N m s2/rad2"),
@@ -197,7 +198,8 @@ def _simple(prepared: Mapping[str, tuple], airframe: Airframe) -> dict[str, Any]
     """Thrust and torque factors: kappaX on squared speeds, kappaX_w on speeds, in still air with steady rotors.
 
     Climb, airspeed, flapping, damping and the rotors' acceleration go together with the commands in flight; left out
-    of the fit, they would pass for thrust and torque. Their own coefficients are not kept.
+    of the fit, they would pass for thrust and torque. So would the moment of a displaced cg, by which flights may
+    differ. Their own coefficients are not kept.
     """
     lookups = [Variables(values, airframe, None) for _, values, _ in prepared.values()]
     series = [rows for rows, _, _ in prepared.values()]
@@ -210,7 +212,10 @@ def _simple(prepared: Mapping[str, tuple], airframe: Airframe) -> dict[str, Any]
         program = Program([parse(e) for e in texts])
         columns = np.hstack([program.run(v.__getitem__, len(rows)) for v, rows in zip(lookups, series)]).T
         used = [0, *(k for k in range(1, len(texts)) if columns[:, k].any())]
-        fit = least_squares(columns[:, used], thrust if target == "thrust" else moments[target], series)
+        if target == "thrust":  # a constant force cannot be distinguished from the thrust of hover
+            fit = least_squares(columns[:, used], thrust, series)
+        else:
+            fit = fit_with_offsets(columns[:, used], moments[target], series)
         std = float(np.sqrt(fit.covariance[0, 0]))
         others = [texts[k] for k in used[1:]]
         result[name] = {"value": float(fit.coefficients[0]), "std": std, "unit": unit, "fitted together with": others}

@@ -16,10 +16,10 @@ import numpy as np
 
 from quasi.errors import DataError
 from quasi.identification.evidence import Totals
+from quasi.identification.offsets import TARGET_ROUNDING
 from quasi.identification.products import Products
 from quasi.identification.stepwise import Options, select, start
 
-TARGET_ROUNDING = 1e-12  # of the target's squares, that a difference of products is known to: less of an error is none
 WHOLE_FLIGHTS = 8  # from so many flights on, flights are resampled rather than stretches
 
 
