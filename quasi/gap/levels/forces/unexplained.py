@@ -17,6 +17,7 @@ from quasi.gap.flights.covariates import EVERYWHERE, IN_TIME, OWN_COVARIATES, wh
 from quasi.gap.flights.evidence import Evidence
 from quasi.gap.flights.ranges import find_ranges, profile
 from quasi.gap.levels.forces import spectral_peaks as rhythm
+from quasi.gap.levels.forces.beyond_references import less_usual_differences
 from quasi.gap.levels.forces.error_reduction import wrench_score
 from quasi.gap.levels.forces.joint_fit import Joint, joint_of, residual_of, signals_of, slope_of
 from quasi.gap.levels.forces.reproducibility import apart, beyond_doubt, coming_again, surely_again, witnessed
@@ -129,6 +130,9 @@ def search(
             before, gone = float(sides(where)[0][k]), max(2.0 * slope - 1.0, 0.0) * here**2
             if gone > before:  # as above: more than there is
                 gone = before - left_by(joint, k, where)
+        placed = place.since == "changed" and where != EVERYWHERE
+        if placed and _unusual(held, joint, place, vehicle) < 0.5 * gone:
+            continue
         part = material(k, where, max(gone, 0.0), before, place.since)
         # what a model's own terms depend on may be their form, unless healthy flights do not show it
         unjudged = here < SHOWN_SHARE * usual and (where not in OWN_COVARIATES or place.since == "changed")
@@ -212,6 +216,15 @@ def outdone(
                 f"(p = {function.p:.2g} with the cause given); with that given the cause has p = {cause.p:.2g}"
             )
     return ""
+
+
+def _unusual(held: Sequence[Evidence], joint: Joint, place: Place, vehicle: Vehicle) -> float:
+    """Mean square that a function takes of what the usual differences between flights and sessions leave.
+
+    Where these, a battery that is seated elsewhere say, explain most of it, the rest is an error of their form."""
+    rest = joint._replace(functions=[(p, v) for p, v in joint.functions if p != place])
+    without, with_it = (less_usual_differences(lambda f, j=j: residual_of(f, j, vehicle)) for j in (rest, joint))
+    return float(np.mean([np.var(without(f)[:, place.channel]) - np.var(with_it(f)[:, place.channel]) for f in held]))
 
 
 def _sizes(

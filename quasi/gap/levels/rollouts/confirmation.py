@@ -176,6 +176,7 @@ def settle(
             faint = {_key(c) for c in found.unjudged}
             results = [_lenient(s, c, whole, _key(c) in faint) for c, s in zip(kept, results)]
             results = [_in_part(s, c, found.study.flights) for c, s in zip(kept, results)]
+            results = [_at_odds(s, used) for s, used in zip(results, fitted.used)]
             refuted = [k for k, s in enumerate(results) if s.outcome == REFUTED]
             if not refuted:
                 if fitted.settled:
@@ -261,6 +262,22 @@ def _in_part(result: Confirmation, cause: Cause, flights: Sequence[Evidence]) ->
     why = (
         f"it acts on {', '.join(unseen)} as well, of which the base model explains next to nothing, and roll-outs of "
         f"the held-out flights do not confirm the rest: {found if result.std < np.inf else result.why}"
+    )
+    return result._replace(outcome=REFUTED, why=why)
+
+
+def _at_odds(result: Confirmation, used: bool) -> Confirmation:
+    """A cause whose value simulations of its own flights put elsewhere, or nowhere, rests on forces and moments alone:
+    roll-outs of the held-out flights have to confirm it.
+
+    used  whether the estimate by output error settled, is physical and agrees with that of forces and moments
+    """
+    if result.outcome != UNJUDGED or used or result.why or not result.std < np.inf:
+        return result
+    why = (
+        "simulations of the flights that it was found on do not agree with its value from forces and moments, and "
+        f"roll-outs of the held-out flights do not confirm it: they show {result.amplitude:.2f} +- {result.std:.2f} "
+        "of its motion, expected 1"
     )
     return result._replace(outcome=REFUTED, why=why)
 
