@@ -25,7 +25,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 from measured_table import record
-from plain_rollout import hold_states
+from plain_rollout import hold_states, trim_before
 from scipy.signal import butter, sosfiltfilt
 
 from quasi.airframe import Airframe, read_airframe
@@ -37,7 +37,7 @@ from quasi.identification.partition import partition, usable
 from quasi.identification.rotor_speeds import rotor_speeds_of, rows_within_limits
 from quasi.identification.shared import shared
 from quasi.model.model import read_model
-from quasi.simulation.tools.rollout import compute_errors, count_steps, rollout, trim_before
+from quasi.simulation.tools.rollout import compute_errors, count_steps, rollout
 from quasi.tables import read_json, read_made, read_table, write_json
 from quasi.terms.rotor_map import SPEEDS, WARM_UP_NAMES, used_rows
 

@@ -22,10 +22,10 @@ import sys
 from pathlib import Path
 
 import numpy as np
-from plain_rollout import Body, hold_states, make_body, rollout_body
+from plain_rollout import Body, hold_states, make_body, rollout_body, trim_before
 
 from quasi.model.model import read_model
-from quasi.simulation.tools.rollout import compute_errors, count_steps, trim_before
+from quasi.simulation.tools.rollout import compute_errors, count_steps
 from quasi.tables import read_table, write_json
 
 ROOT = Path(__file__).parents[1]

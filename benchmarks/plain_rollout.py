@@ -139,3 +139,24 @@ def _integrate_step(
     # the four stages leave the unit sphere by a fifth-order error
     packed[:, :4] = normalise(packed[:, :4])
     return packed
+
+
+def trim_before(missing: np.ndarray, starts: np.ndarray, window: int, margin: int) -> np.ndarray:
+    """Compute the trim (S, 6) that the flight itself shows before each start: constant force, N, and moment, N m.
+
+    A battery put back elsewhere or a propeller changed shifts the trim of a flight; no model of other flights can know
+    it. It is the mean of what the model misses over `window` rows.
+
+    missing  (N, 6) measured minus predicted Fx .. Mz of a filtered flight, NaN in rows that are not to be used
+    starts   (S,) rows; window  rows that are averaged; margin  rows between their end and the start, at least the half
+    length of the flight's low-pass, which looks ahead by that much
+    The trim is 0 where fewer than a quarter of the rows can be used.
+    """
+    used = np.isfinite(missing).all(axis=1)
+    sums = np.vstack([np.zeros(6), np.cumsum(np.where(used[:, None], missing, 0.0), axis=0)])
+    counts = np.concatenate([[0], np.cumsum(used)])
+    last = np.maximum(np.asarray(starts, int) - margin, 0)
+    first = np.maximum(last - window, 0)
+    rows = counts[last] - counts[first]
+    enough = rows > 0.25 * window
+    return np.where(enough[:, None], (sums[last] - sums[first]) / np.maximum(rows, 1)[:, None], 0.0)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from plain_plant import made_model
-from plain_rollout import make_body, rollout_body
+from plain_rollout import make_body, rollout_body, trim_before
 
 from quasi.attitude import to_euler
 from quasi.errors import DataError, ShapeError
@@ -11,7 +11,7 @@ from quasi.model.model import Model
 from quasi.simulation.loop.run import simulate
 from quasi.simulation.loop.setup import make_setup
 from quasi.simulation.tools.replay import ActuatorDynamics, read_actuator_dynamics, replay, to_euler_states
-from quasi.simulation.tools.rollout import rollout, trim_before
+from quasi.simulation.tools.rollout import rollout
 
 
 @pytest.fixture(scope="module")
