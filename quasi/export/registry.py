@@ -26,20 +26,6 @@ class Simulator(NamedTuple):
     recover: Callable[[Mapping[str, str], Physical], Recovered]
 
 
-class Language(NamedTuple):
-    """An export of the whole model, which has a rule of its own: models/<model>/<name>."""
-
-    name: str
-    title: str
-    needs: str
-
-
-LANGUAGES = (
-    Language("matlab", "functions and a simulation environment for MATLAB and GNU Octave", "MATLAB or Octave"),
-    Language("c", "one C99 file and its header", "a C compiler"),
-    Language("fmu", "FMUs of FMI 2.0: forces and moments, and the whole vehicle", "a tool that imports FMUs"),
-    Language("python", "one Python file", "numpy"),
-)
 SIMULATORS = {
     module.NAME: Simulator(module.NAME, module.TITLE, module.NEEDS, module.write, module.recover)
     for module in (gazebo, px4, crazyflow, mjcf, urdf)

@@ -19,12 +19,6 @@ from quasi.pages.chart_script import CHART_SCRIPT, CHART_STYLE
 from quasi.tables import read_text
 
 VENDOR_FOLDER = Path(__file__).parent / "vendor"
-# SHA-256 of the copies from the npm package uplot 1.6.32; a test compares them
-UPLOT_DIGESTS = {
-    "uPlot.iife.min.js": "19c8d4c6ad88929a79f4ae49d6f7161566dfd0ba3d15cc495e974f787eb78f1f",
-    "uPlot.min.css": "df630c6a8d6f8eeaff264b50f73ce5b114f646ffd9a0bb74f049b0a00135fa04",
-    "LICENSE.uPlot": "8f989229699b4fe2f1a0432d0e9edc338a8a911e250e2d1b01ecd770a5f5b1bd",
-}
 UNKNOWN_CODE = 65535  # largest 16-bit number
 MAX_PANEL_ROWS = 8_000  # of a panel: 8 per pixel of a wide screen; 16 panels of a flight are 1.3 MB
 SPAN_KINDS = {

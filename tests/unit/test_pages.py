@@ -18,7 +18,7 @@ from test_flight_page import flight  # noqa: F401
 from quasi.identification import warnings as fit_warnings
 from quasi.pages import flight as flight_page
 from quasi.pages import index, model
-from quasi.pages.chart import UPLOT_DIGESTS, VENDOR_FOLDER, Chart, Panel, Trace, decimate, pack_panel, render_style
+from quasi.pages.chart import VENDOR_FOLDER, Chart, Panel, Trace, decimate, pack_panel, render_style
 from quasi.pages.flight_traces import draw_path, find_spans, make_panels
 from quasi.pages.gyro_spectrum import draw_gyro_spectrum
 from quasi.pages.model_warnings import OTHER_WARNINGS, WARNING_KINDS, show_warnings
@@ -186,6 +186,14 @@ def test_a_flight_of_90_s_at_500_hz_stays_below_3_mb_of_traces():
     wave = np.sin(np.outer(np.arange(1, 5), t)) + np.random.default_rng(0).standard_normal((4, len(t)))
     panels = [Panel(str(k), t, [Trace("a", row, "red") for row in wave]) for k in range(16)]
     assert len(Chart(panels).script() + render_style()) < 2.2e6
+
+
+# SHA-256 of the copies from the npm package uplot 1.6.32
+UPLOT_DIGESTS = {
+    "uPlot.iife.min.js": "19c8d4c6ad88929a79f4ae49d6f7161566dfd0ba3d15cc495e974f787eb78f1f",
+    "uPlot.min.css": "df630c6a8d6f8eeaff264b50f73ce5b114f646ffd9a0bb74f049b0a00135fa04",
+    "LICENSE.uPlot": "8f989229699b4fe2f1a0432d0e9edc338a8a911e250e2d1b01ecd770a5f5b1bd",
+}
 
 
 def test_the_copy_of_uplot_is_the_published_one_and_every_page_names_its_licence():
