@@ -313,6 +313,6 @@ def _check_axes(axes: Axes3D | None, figure: Figure | None) -> Axes3D:
     if not isinstance(axes, Axes3D):
         raise ConfigError(
             "animation: the axes are not three-dimensional; make them with "
-            "`quasi.pages.drone.new_axes`, or put them last in the figure"
+            "`quasi.pages.drone.make_axes`, or put them last in the figure"
         )
     return axes

@@ -31,7 +31,7 @@ def render_model_page(
     """Render the page as HTML.
 
     model      the model's document; summary, diagnosis  as plain data; coverage  of `diagnostics.compute_coverage`
-    rows       of `thin`
+    rows       of `thin_rows`
     """
     flights = model["flights"]
     under = (

@@ -76,7 +76,7 @@ class Setup:
     loop_parameters  parameters of the compiled loop; memory: size of the controller's memory
     start        (17 + own,) initial state, payload and inflow trimmed
     seeds        of noise and of gusts
-    steps        of machine.dt; every: number of them between two logged rows
+    steps        of dt; every: number of them between two logged rows
     settings     the checked configuration; notes: assumptions
     """
 

@@ -165,7 +165,7 @@ def compute_loads(x, step_inputs, kernel, body, inputs, work, out):
 
 @njit(cache=True, error_model="numpy")
 def trim_extra_states(x, step_inputs, kernel, body, inputs, work, out):
-    """Put the states of the parts in x (17 + own,) to rest, see `parts.settle`; the others stay. out (6,) is room."""
+    """Trim the states of payload and inflow in x (17 + own,); the others stay. out (6,) is scratch."""
     if body[EXTRA_STATES] != 0.0:
         bare = body.copy()
         bare[EXTRA_STATES] = 0.0
