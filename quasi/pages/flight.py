@@ -150,7 +150,7 @@ def render_flight_page(
             ),
             frame.render_facts(
                 [
-                    ("sensors at the end of their range", _describe_clipping(m.get("saturation"))),
+                    ("sensors at the end of their range", _describe_clipping(m["saturation"])),
                     *_list_saturation(saturated),
                 ]
             ),
@@ -186,21 +186,20 @@ def _render_answer(chart: Chart, path: str, spectrum: tuple[bytes, str] | None) 
 
 
 def _list_sources(m: Section) -> list[tuple[str, object]]:
-    board, capture, wind = (m["sources"].get(k) or {} for k in ("onboard", "capture", "wind"))
+    board, capture = (m["sources"].get(k) or {} for k in ("onboard", "capture"))
+    wind = m.get("wind") or {}
     firmware = board.get("firmware") or {}
-    firmware = firmware.get("revision") if isinstance(firmware, Mapping) else firmware
-    board_name = (board.get("firmware") or {}).get("board") if isinstance(board.get("firmware"), Mapping) else None
     poles = m.get("motor poles") or {}
     return [
         ("on-board log", board.get("path") or board.get("file")),
         ("reader", board.get("reader") or board.get("format")),
-        ("firmware", ", ".join(t for t in (firmware, board_name) if t)),
+        ("firmware", ", ".join(firmware[k] for k in ("revision", "board") if firmware.get(k))),
         ("logs in the file", _describe_logs(board)),
         ("fields", _group_fields(board.get("fields") or [])),
-        ("motion capture", capture.get("file") or capture.get("path")),
+        ("motion capture", capture.get("file")),
         ("rigid body", _describe_body(capture)),
         ("capture", _describe_capture(capture)),
-        ("wind", wind.get("path") or wind.get("file")),
+        ("wind", (wind.get("record") or {}).get("path") or wind.get("source")),
         ("attitude from", m["attitude source"]),
         ("reconstructed signals", _describe_reconstructed(m.get("reconstructed") or {})),
         ("position from", m["position source"]),
@@ -359,10 +358,7 @@ def _list_battery(filtered: pd.DataFrame) -> list[tuple[str, object]]:
     return [("battery, first and last second", f"{first:.2f} V to {last:.2f} V")]
 
 
-def _describe_clipping(facts: Section | None) -> str | None:
-    """Describe clipped sensors; None for an import without the check."""
-    if facts is None:
-        return None
+def _describe_clipping(facts: Section) -> str:
     each = [
         f"{key.split(' ')[0]} at {frame.format_number(one['level']['value'])} {one['level']['unit']} for "
         f"{frame.format_number(one['seconds'], 2)} s in {one['span count']} spans"

@@ -81,6 +81,16 @@ def test_page_is_whole_in_itself_and_escapes_what_files_bring(flight):
 
 
 @pytest.mark.parametrize(
+    ("wind", "shown"),
+    [({"source": "record", "record": {"path": "tunnel.lvm"}}, "tunnel.lvm"), ({"source": "static"}, "static")],
+)
+def test_the_source_of_a_wind_is_listed(flight, wind, shown):
+    filtered, imported, about = flight
+    text = render_flight_page(filtered, imported | {"wind": wind}, filtered, about, {})
+    assert f'<th scope="row">wind</th><td>{shown}</td>' in text
+
+
+@pytest.mark.parametrize(
     ("sources", "engine", "velocity", "height"),
     [
         (("none", "none"), "compiled", "from the accelerometer alone, drifts", "from the accelerometer alone, drifts"),
