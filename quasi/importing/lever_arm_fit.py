@@ -16,6 +16,7 @@ from quasi.attitude import GRAVITY, continuous, interpolate, rotate_inverse
 from quasi.importing.clocks.clock_fit import uniform
 from quasi.importing.clocks.synchronisation import GRID, SLOW_BAND, Motion, Synchronisation
 from quasi.importing.series import interpolate_columns
+from quasi.terms.differential import cross_matrix
 
 ARM_BLOCK = 2.0  # s, longer than what correlates accelerations band-limited to SLOW_BAND
 LEAST_ARM_BLOCKS = 5
@@ -62,7 +63,7 @@ def fit_arm(onboard: Motion, capture: Motion, clocks: Synchronisation) -> ArmFit
     late = np.gradient(captured, place.step, axis=0)
     rest = (sensed - captured)[good]
     bias = np.broadcast_to(np.eye(3), (len(rest), 3, 3))
-    parts = [_arm_matrix(w[good], wdot[good]), bias, _cross(captured[good]), late[good][:, :, None]]
+    parts = [_arm_matrix(w[good], wdot[good]), bias, cross_matrix(captured[good]), late[good][:, :, None]]
     design = np.concatenate(parts, axis=2)
     scale = np.sqrt(np.mean(design**2, axis=(0, 1)))  # mm, rad and s: without it the normal matrix is ill-conditioned
     design = design / scale
@@ -81,12 +82,6 @@ def fit_arm(onboard: Motion, capture: Motion, clocks: Synchronisation) -> ArmFit
 
 def _arm_matrix(w: np.ndarray, wdot: np.ndarray) -> np.ndarray:
     """(n, 3, 3): what times r gives wdot x r + w x (w x r)."""
-    turn = _cross(wdot)
+    turn = cross_matrix(wdot)
     centripetal = np.einsum("ni,nj->nij", w, w) - np.sum(w**2, axis=1)[:, None, None] * np.eye(3)
     return turn + centripetal
-
-
-def _cross(vectors: np.ndarray) -> np.ndarray:
-    x, y, z = vectors.T
-    zero = np.zeros_like(x)
-    return np.stack([np.stack([zero, -z, y], -1), np.stack([z, zero, -x], -1), np.stack([-y, x, zero], -1)], axis=1)
