@@ -124,26 +124,18 @@ class ModelJobs:
         """Settings of the trajectory figures of a model."""
         gap = self.gaps.maker_of(name)
         row = self.gaps.rows(gap)[0] if gap else self.logbooks.model_flights(name, "training")[0]
-        part = self.recordings.quadrotor_part(row, GEOMETRY)
         chosen = (self.configured(name) or {"plotting": STILLS})["plotting"]
-        return {
-            "quadrotor": part["quadrotor"],
-            "problem": part["problem"],
-            "mass": self.recordings.mass(row)[0],
-            "stills": chosen["number of drone stills"],
-            "animate": chosen["show animation"],
-            "speed up": chosen["animation speed up factor"],
-        }
+        return {**self._drawing(row, chosen), "animate": chosen["show animation"]}
 
     def flight_trajectory(self, quadrotor: str, flight: str) -> dict[str, Any]:
         """Settings of the trajectory figure and the animation of one flight, which no model needs to name."""
         row = self.logbooks.row(quadrotor, flight)
-        part = self.recordings.quadrotor_part(row, GEOMETRY)
-        chosen = self.configuration.processing["plotting"]
+        return {**self._drawing(row, self.configuration.processing["plotting"]), "flight": flight}
+
+    def _drawing(self, row: Row, chosen: dict[str, Any]) -> dict[str, Any]:
+        """Quadrotor, mass, stills and speed of a drawn trajectory. chosen  the section 'plotting'"""
         return {
-            "flight": flight,
-            "quadrotor": part["quadrotor"],
-            "problem": part["problem"],
+            **self.recordings.quadrotor_part(row, GEOMETRY),
             "mass": self.recordings.mass(row)[0],
             "stills": chosen["number of drone stills"],
             "speed up": chosen["animation speed up factor"],
