@@ -26,6 +26,8 @@ from quasi.attitude import (
 )
 from quasi.errors import DataError
 
+CORRECTION_TIME = 8.0  # s, over which the accelerometer corrects the gyro
+
 
 class Attitude(NamedTuple):
     """quaternion (n, 4) body to earth, heading 0 at the start; gyro_bias (3,) rad/s; levelled "at rest" or
@@ -113,12 +115,11 @@ def _spread(values: np.ndarray) -> np.ndarray:
     return 0.5 * (high - low)
 
 
-def estimate_attitude(t: np.ndarray, gyro: np.ndarray, accel: np.ndarray, time_constant: float = 8.0) -> Attitude:
+def estimate_attitude(t: np.ndarray, gyro: np.ndarray, accel: np.ndarray) -> Attitude:
     """Attitude history of a flight on board data alone.
 
-    t              (n,) s, increasing; gyro (n, 3) rad/s and accel (n, 3) m/s2 (specific force), body FRD, finite
-    time_constant  s, over which the accelerometer corrects the gyro
-    Raises         DataError when fewer than half a second is there
+    t       (n,) s, increasing; gyro (n, 3) rad/s and accel (n, 3) m/s2 (specific force), body FRD, finite
+    Raises  DataError when fewer than half a second is there
     """
     if len(t) < 10 or t[-1] - t[0] < 0.5:
         raise DataError(
@@ -135,7 +136,7 @@ def estimate_attitude(t: np.ndarray, gyro: np.ndarray, accel: np.ndarray, time_c
     else:
         start = _level_over_flight(t, gyro, accel)
         levelled = "whole flight"
-    kp = 1.0 / time_constant
+    kp = 1.0 / CORRECTION_TIME
     # critically damped; a bias measured at rest is better than one learnt in flight
     ki = 0.05 * kp**2 if still else 0.25 * kp**2
     forwards = _filter(t, gyro, accel, start, bias, kp, ki)

@@ -100,9 +100,9 @@ def _collect_facts(pooled: pd.DataFrame) -> dict[str, Any]:
     facts["relative difference"] = {
         "test and training": _percent_difference(rmse, "training"),
         "test and validation": _percent_difference(rmse, "validation"),
-        "validation above training": _percent_above(rmse, "validation", "training"),
-        "test above training": _percent_above(rmse, "test", "training"),
-        "validation above training, relative": _percent_above(facts["relative rmse"], "validation", "training"),
+        "validation above training": _percent_above_training(rmse, "validation"),
+        "test above training": _percent_above_training(rmse, "test"),
+        "validation above training, relative": _percent_above_training(facts["relative rmse"], "validation"),
     }
     test, validation = (facts["relative difference"][k] for k in ("test and training", "test and validation"))
     facts["warnings"] = {
@@ -121,8 +121,8 @@ def _percent_difference(values: Mapping[str, float | None], of: str) -> float | 
     return 100.0 - 100.0 * a / b if a is not None and b else None
 
 
-def _percent_above(values: Mapping[str, float | None], of: str, against: str) -> float | None:
-    a, b = values.get(of), values.get(against)
+def _percent_above_training(values: Mapping[str, float | None], of: str) -> float | None:
+    a, b = values.get(of), values.get("training")
     return 100.0 * (a / b - 1.0) if a is not None and b else None
 
 

@@ -6,6 +6,7 @@ from typing import Any
 
 import pandas as pd
 
+from quasi.model.document import is_number
 from quasi.model.model import Model
 from quasi.scoring.score import POOLED, format_scores
 from quasi.terms.rotor_map import describe_map
@@ -54,7 +55,7 @@ def make_summary(model: Model, scores: pd.DataFrame, diagnosis: Mapping[str, Any
             "what to do": facts["what to do"],
             "terms": [{k: term[k] for k in SUMMARY_TERM_KEYS if k in term} for term in part["terms"]],
             "scores": {
-                row.pop("role"): {k: v if _finite(v) else None for k, v in row.items()}
+                row.pop("role"): {k: v if is_number(v) else None for k, v in row.items()}
                 for row in rows.to_dict("records")
             },
             "training rows": part["n"],
@@ -71,10 +72,6 @@ def make_summary(model: Model, scores: pd.DataFrame, diagnosis: Mapping[str, Any
         "flights": model.document["flights"],
         "axes": axes,
     }
-
-
-def _finite(value: Any) -> bool:
-    return isinstance(value, int | float) and math.isfinite(value)
 
 
 def format_latex(model: Model, scores: pd.DataFrame, diagnosis: Mapping[str, Any]) -> str:
@@ -139,7 +136,7 @@ def escape_latex(text: object) -> str:
 
 def format_number(value: float, digits: int) -> str:
     """Format a number in mathematical mode with this many significant digits, powers of ten only where needed."""
-    if not _finite(value):
+    if not is_number(value):
         return "--"
     if value == 0:
         return "$0$"
