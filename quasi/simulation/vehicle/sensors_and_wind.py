@@ -153,14 +153,7 @@ def add_sensor_noise(x, fx, fy, fz, sensors, speeds, random, random_numbers, mea
 @njit(cache=True, error_model="numpy")
 def find_row(table, t):
     """The last row at or before t; the first where t lies before all."""
-    low, high = 0, len(table)
-    while high - low > 1:
-        middle = (low + high) // 2
-        if table[middle, 0] <= t:
-            low = middle
-        else:
-            high = middle
-    return low
+    return max(np.searchsorted(table[:, 0], t, side="right") - 1, 0)
 
 
 @njit(cache=True, error_model="numpy")
