@@ -194,10 +194,8 @@ def make_setup(
     check_step(body, kernel, step_inputs, make_hover_state(hover, place), dt / substeps, method, notes, name)
 
     asked = settings["controller"]
-    actuators = {"time constants": np.maximum(up, 1e-4), "delay": drive.delay, "lowest": drive.low,
-                 "highest": drive.high if math.isfinite(drive.high) else None}  # fmt: skip
     with _prefix_errors(name):
-        kind, gains, memory = make_controller({**asked, "time step": dt}, model, actuators, offset)
+        kind, gains, memory = make_controller({**asked, "time step": dt}, model, list_actuators(up, drive), offset)
     wanted = dict(settings["references"])
     if not any(wanted.get(k) for k in ("do position track", "do circle track", "kind")):
         here, yaw = [float(c) for c in start[10:13]], float(attitude.to_euler(start[:4])[2])
@@ -219,6 +217,12 @@ def make_setup(
     seeds = (noise["seed"], noise["seed"] if air["seed"] is None else air["seed"])
     every = settings["simulation"]["log every"]
     return Setup(name, model, loop_parameters, memory, start, seeds, steps, every, settings, tuple(notes))
+
+
+def list_actuators(lag: np.ndarray, drive: ActuatorLimits) -> dict[str, Any]:
+    """List lag, delay and limits of the rotors as `controllers.make_controller` takes them. lag (4,) s"""
+    highest = drive.high if math.isfinite(drive.high) else None
+    return {"time constants": np.maximum(lag, 1e-4), "delay": drive.delay, "lowest": drive.low, "highest": highest}
 
 
 @contextmanager

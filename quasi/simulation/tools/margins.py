@@ -24,7 +24,7 @@ from quasi.simulation.control.controllers import controller_step, make_controlle
 from quasi.simulation.control.gains import complete_settings
 from quasi.simulation.control.outer_loop import SETPOINT_POSITION, SETPOINT_SIZE, SETPOINT_THRUST
 from quasi.simulation.control.registry import LAWS
-from quasi.simulation.loop.setup import Setup
+from quasi.simulation.loop.setup import Setup, list_actuators
 from quasi.simulation.vehicle.dynamics import LAG_UP
 
 DIRECTIONS = ("roll", "pitch", "yaw", "thrust")
@@ -100,12 +100,7 @@ def compute_margins(
 def actuators_of_setup(setup: Setup) -> dict[str, Any]:
     """The actuators of a simulation, as `controllers.make_controller` takes them."""
     parameters = setup.loop_parameters
-    return {
-        "time constants": np.maximum(parameters.body[LAG_UP : LAG_UP + 4], 1e-4),
-        "delay": parameters.drive.delay,
-        "lowest": parameters.drive.low,
-        "highest": parameters.drive.high if math.isfinite(parameters.drive.high) else None,
-    }
+    return list_actuators(parameters.body[LAG_UP : LAG_UP + 4], parameters.drive)
 
 
 def describe_margins(setup: Setup) -> str:
