@@ -104,13 +104,9 @@ def _variable(name: str) -> str:
     return f"{_CALLS[function]}({_variable(inner)})" if function else matlab_name(plain_name(name))
 
 
-def _trees(model: Model, axis: str) -> list[Tree]:
-    return model.trees[axis]
-
-
 def variables_of(model: Model, axis: str) -> list[str]:
     """Variables of an axis without |..|, sin[..], cos[..], each once, in order of appearance."""
-    return list(dict.fromkeys(name for tree in _trees(model, axis) for name in _variables_in(tree)))
+    return list(dict.fromkeys(name for tree in model.trees[axis] for name in _variables_in(tree)))
 
 
 def _variables_in(tree: Tree) -> list[str]:
@@ -139,7 +135,7 @@ def axis_file(model: Model, axis: str) -> str:
         "",
         f"{axis} = 0;",
     ]
-    for term, tree in zip(part["terms"], _trees(model, axis)):
+    for term, tree in zip(part["terms"], model.trees[axis]):
         value, text = number(term["coefficient"]), expression(tree)
         if _depth(text) > _DEEPEST:
             raise ConfigError(
