@@ -11,7 +11,9 @@ hypotheses are compared by their marginal likelihoods under
 
     y = mean + cause (compared flights) + session + flight + voltage,
 
-with independent spreads of sessions and flights for each rotor, both with priors and integrated out numerically.
+with independent spreads of sessions and of flights, all with priors and integrated out numerically. Flights differ in
+what all rotors are asked for (climb, air, what a battery weighs) apart from what single rotors are: a vehicle that is
+trimmed alike to a thousandth may well differ by some hundredths in all of it.
 Source: statics; Gelman et al., Bayesian Data Analysis, 3rd ed., 2013, chapters 5 (hierarchical models) and 7.4 (Bayes
 factors); MacKay, Information Theory, Inference, and Learning Algorithms, 2003, chapter 28 (Occam factor).
 """
@@ -19,16 +21,19 @@ factors); MacKay, Information Theory, Inference, and Learning Algorithms, 2003, 
 import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 N_ROTORS = 4
 # Prior medians of the spreads of log thrust that one rotor is asked for: between sessions by the weight and its place
-# (battery, payload) and by the balance about yaw; between flights. SPREAD_FACTOR is one standard deviation of each.
-# Measured on the healthy flights of CrazyPAD and its flights with tape, `benchmarks/real_causes.py`.
-SEATING_SPREAD, YAW_SPREAD, FLIGHT_SPREAD, SPREAD_FACTOR = 0.015, 0.008, 0.009, 1.5
-SPREAD_GRID = SPREAD_FACTOR ** np.linspace(-2.0, 2.0, 5)  # of each spread, in units of its median
+# (battery, payload) and by the balance about yaw; between flights by each rotor, and by all of them alike. Measured on
+# the healthy flights of CrazyPAD and its flights with tape, `benchmarks/real_causes.py`. The factors are one standard
+# deviation: of sessions, of which there are few; of flights, whose spreads differ by 10 between three vehicles.
+SEATING_SPREAD, YAW_SPREAD, FLIGHT_SPREAD, LIFT_SPREAD = 0.015, 0.008, 0.009, 0.008
+SPREAD_FACTORS = np.array([1.5, 1.5, 2.5, 2.5])
+SPREAD_GRID = np.linspace(-2.0, 2.0, 5)  # of each spread, in standard deviations of its prior
+NUMBERS_AT_ONCE = 4_000_000  # of covariance matrices, 32 MB
 MEAN_STD = 10.0  # of log thrust: nothing is known of the trim itself
 VOLTAGE_STD = (
     0.5  # exponent by which the assumed map from command and voltage to thrust may be wrong, standard deviation
@@ -73,7 +78,7 @@ class Hypothesis(NamedTuple):
 @dataclass
 class Comparison:
     """probability {hypothesis: posterior}; parameters {hypothesis: {parameter: (mean, std)}}; change (4,) of log thrust
-    of the compared flights and its covariance (4, 4); spread {"seating", "yaw", "flight"} posterior means."""
+    of the compared flights and its covariance (4, 4); spread {"seating", "yaw", "flight", "lift"} posterior means."""
 
     probability: dict[str, float]
     parameters: dict[str, dict[str, tuple[float, float]]]
@@ -138,22 +143,28 @@ def compare(flights: Sequence[Flight], candidates: Sequence[Hypothesis], geometr
     sessions = np.array([f"{f.is_compared}/{f.session}" for f in flights])
     shared = (sessions[:, None] == sessions[None, :]).astype(float)
     seating, yaw = (np.kron(shared, part @ part.T) for part in (geometry.relative[:, :3], geometry.relative[:, 3:]))
-    columns = [np.kron(compared[:, None].astype(float), h.directions * np.array(h.std)) for h in candidates]
-    free = np.kron(compared[:, None].astype(float), np.eye(N_ROTORS))
-    log_posterior, fits, changes, sizes = [], [], [], []
-    for scale in itertools.product(SPREAD_GRID, repeat=3):
-        sizes.append(np.array(scale) * (SEATING_SPREAD, YAW_SPREAD, FLIGHT_SPREAD))
-        a, b, c = sizes[-1] ** 2
-        factor = np.linalg.cholesky(fixed + a * seating + b * yaw + c * np.eye(len(y)))
-        white, *acting, both = (np.linalg.solve(factor, part) for part in (y, *columns, free))
-        base = -0.5 * white @ white - np.log(np.diag(factor)).sum()
-        base -= 0.5 * np.sum(np.log(scale) ** 2) / np.log(SPREAD_FACTOR) ** 2
-        found = [_marginal(part, white) for part in acting]
-        log_posterior.append([np.log(h.prior) + base + gain for h, (gain, _) in zip(candidates, found)])
-        fits.append([fit for _, fit in found])
-        changes.append(_least_squares(both, white))
-    weight = np.exp(np.array(log_posterior) - np.max(log_posterior))
-    return _summary(candidates, weight / weight.sum(), fits, changes, np.array(sizes))
+    lift = np.kron(np.eye(len(flights)), np.ones((N_ROTORS, N_ROTORS)))
+    acting = np.kron(compared[:, None].astype(float), np.eye(N_ROTORS))
+    sides = np.column_stack([y, *(acting @ (h.directions * np.array(h.std)) for h in candidates), acting])
+    away = np.array(list(itertools.product(SPREAD_GRID, repeat=len(SPREAD_FACTORS))))
+    sizes = SPREAD_FACTORS**away * (SEATING_SPREAD, YAW_SPREAD, FLIGHT_SPREAD, LIFT_SPREAD)
+    grams, base = [], []
+    for part in np.array_split(np.arange(len(away)), -(-len(away) * len(y) ** 2 // NUMBERS_AT_ONCE)):
+        scales = sizes[part, :, None, None] ** 2
+        spread = sum(scales[:, k] * m for k, m in enumerate((seating, yaw, np.eye(len(y)), lift)))
+        factor = np.linalg.cholesky(fixed + spread)
+        white = np.linalg.solve(factor, np.broadcast_to(sides, (len(part), *sides.shape)))
+        grams.append(np.swapaxes(white, 1, 2) @ white)
+        base.append(-np.log(np.diagonal(factor, axis1=1, axis2=2)).sum(axis=1))
+    gram = np.concatenate(grams)
+    base = np.concatenate(base) - 0.5 * gram[:, 0, 0] - 0.5 * np.sum(away**2, axis=1)
+    ends = np.cumsum([1, *(h.directions.shape[1] for h in candidates)])
+    found = [_marginal(gram, slice(i, j)) for i, j in itertools.pairwise(ends)]
+    log_posterior = np.stack([np.log(h.prior) + base + gain for h, (gain, *_) in zip(candidates, found)], axis=1)
+    weight = np.exp(log_posterior - np.max(log_posterior))
+    covariance = np.linalg.inv(gram[:, ends[-1] :, ends[-1] :])
+    change = (covariance @ gram[:, ends[-1] :, :1])[:, :, 0]
+    return _summary(candidates, weight / weight.sum(), [fit for _, *fit in found], (change, covariance), sizes)
 
 
 def _fixed_covariance(flights: Sequence[Flight]) -> np.ndarray:
@@ -168,37 +179,38 @@ def _fixed_covariance(flights: Sequence[Flight]) -> np.ndarray:
     return np.kron(np.ones((n, n)), np.eye(N_ROTORS)) * MEAN_STD**2 + np.kron(common, np.ones((N_ROTORS, N_ROTORS)))
 
 
-def _marginal(columns: np.ndarray, white: np.ndarray) -> tuple[float, tuple[np.ndarray, np.ndarray]]:
-    """Log marginal likelihood over that without the columns, and mean and covariance of their unit-normal factors."""
-    precision = np.eye(columns.shape[1]) + columns.T @ columns
-    pull = columns.T @ white
-    mean = np.linalg.solve(precision, pull)
-    return float(0.5 * pull @ mean - 0.5 * np.linalg.slogdet(precision)[1]), (mean, np.linalg.inv(precision))
+def _marginal(gram: np.ndarray, own: slice) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Log marginal likelihood (g,) over that without some columns, mean (g, k) and covariance (g, k, k) of their
+    unit-normal factors.
 
-
-def _least_squares(columns: np.ndarray, white: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Change (4,) of log thrust and its covariance (4, 4), without a prior."""
-    covariance = np.linalg.inv(columns.T @ columns)
-    return covariance @ (columns.T @ white), covariance
+    gram  (g, z, z) products of whitened columns, the first of them the data
+    """
+    precision = np.eye(own.stop - own.start) + gram[:, own, own]
+    pull = gram[:, own, 0]
+    mean = np.linalg.solve(precision, pull[:, :, None])[:, :, 0]
+    gain = 0.5 * np.sum(pull * mean, axis=1) - 0.5 * np.linalg.slogdet(precision)[1]
+    return gain, mean, np.linalg.inv(precision)
 
 
 def _summary(
-    candidates: Sequence[Hypothesis], weight: np.ndarray, fits: Sequence[Sequence[Any]], changes: Sequence[Any],
-    sizes: np.ndarray,
+    candidates: Sequence[Hypothesis], weight: np.ndarray, fits: Sequence[Sequence[np.ndarray]],
+    changes: tuple[np.ndarray, np.ndarray], sizes: np.ndarray,
 ) -> Comparison:  # fmt: skip
-    """weight (m, k) posterior of each pair of spreads and hypothesis, sum 1; fits, changes  by pair of spreads."""
+    """weight (g, h) posterior of spreads and hypothesis, sum 1; fits (mean, covariance) by hypothesis and changes, all
+    by spreads, whose sizes (g, s) are."""
     probability = {h.name: float(p) for h, p in zip(candidates, weight.sum(axis=0))}
     parameters: dict[str, dict[str, tuple[float, float]]] = {}
-    for k, h in enumerate(candidates):
-        w = weight[:, k] / max(weight[:, k].sum(), 1e-300)
-        mean = sum(a * fit[k][0] for a, fit in zip(w, fits)) if h.parameters else np.zeros(0)
-        second = sum(a * (np.diag(fit[k][1]) + fit[k][0] ** 2) for a, fit in zip(w, fits)) if h.parameters else mean
+    for h, w, (means, covariances) in zip(candidates, weight.T, fits):
+        w = w / max(w.sum(), 1e-300)
+        mean = w @ means
+        second = w @ (np.diagonal(covariances, axis1=1, axis2=2) + means**2)
         std = np.sqrt(np.maximum(second - mean**2, 0.0))
         parameters[h.name] = {n: (float(s * m), float(s * d)) for n, s, m, d in zip(h.parameters, h.std, mean, std)}
-    each = weight.sum(axis=1)
-    change = sum(a * c[0] for a, c in zip(each, changes))
-    covariance = sum(a * (c[1] + np.outer(c[0] - change, c[0] - change)) for a, c in zip(each, changes))
-    spread = dict(zip(("seating", "yaw", "flight"), (each @ sizes).tolist()))
+    each, (values, covariances) = weight.sum(axis=1), changes
+    change = each @ values
+    off = values - change
+    covariance = np.tensordot(each, covariances + off[:, :, None] * off[:, None, :], 1)
+    spread = dict(zip(("seating", "yaw", "flight", "lift"), (each @ sizes).tolist()))
     return Comparison(probability, parameters, change, covariance, spread)
 
 
