@@ -168,7 +168,8 @@ def compute_wrench_rows(kernel: Kernel, columns: np.ndarray, out: np.ndarray) ->
     for first in range(0, rows, _BLOCK_ROWS):
         n = min(_BLOCK_ROWS, rows - first)
         for k in range(gathered):
-            work[k, :n] = columns[k, first : first + n]
+            for i in range(n):  # a part assigned to a part would compile the text of an error for 3 s
+                work[k, i] = columns[k, first + i]
         for run in range(0, len(runs), 3):
             operation = runs[run]
             for k in range(runs[run + 1], runs[run + 2]):

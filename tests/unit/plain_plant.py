@@ -94,17 +94,18 @@ def _root(square, sign):
 
 @njit(cache=True)
 def _loop(
-    kind, p, memory, goals, dt, fine, kernel, constants, inertia, offset, rot, state, share, cap, fault, noise, log
-):
-    """noise (N, 6) of velocity and rates.
+    kind, p, memory, goals, dt, fine, kernel, constants, inertia, inverse, offset, rot, state, share, cap, fault, noise,
+    log
+):  # fmt: skip
+    """noise (N, 6) of velocity and rates; products are written out, for those of NumPy take seconds to compile.
 
     constants: mass, gravity to add, lag, lowest, highest; state (13,): x (3), v earth (3), rates (3), rotors (4).
     """
     mass, gravity, lag, lowest, highest = constants
-    inverse = np.linalg.inv(inertia)
     inputs, work, out = np.zeros(64), np.zeros(len(kernel.code) + len(kernel.numbers)), np.zeros(6)
     seen, command, slopes, acting = np.zeros(26), np.zeros(4), np.zeros(4), np.zeros(4)
-    turn, target = np.eye(3), state[9:13].copy()
+    turn, turned, target = np.zeros((3, 3)), np.zeros((3, 3)), state[9:13].copy()
+    momentum, about = np.zeros(3), np.zeros(3)
     h = dt / fine
     for step in range(len(goals)):
         position, velocity, rates, rotors = state[0:3], state[3:6], state[6:9], state[9:13]
@@ -145,13 +146,15 @@ def _loop(
                 controller_step(kind, p, memory, dt, seen, goals[step], command)
                 for i in range(4):
                     target[i] = min(max(command[i], lowest), highest)
-            momentum = inertia @ rates
-            about = np.cross(rates, momentum)
-            acceleration = inverse @ (out[3:6] - about)
-            force = rot @ out[0:3]
             for k in range(3):
-                velocity[k] += h * (force[k] / mass + (gravity if k == 2 else 0.0))
-                rates[k] += h * acceleration[k]
+                momentum[k] = inertia[k, 0] * rates[0] + inertia[k, 1] * rates[1] + inertia[k, 2] * rates[2]
+            for k in range(3):
+                i, j = (k + 1) % 3, (k + 2) % 3
+                about[k] = out[3 + k] - (rates[i] * momentum[j] - rates[j] * momentum[i])
+            for k in range(3):
+                force = rot[k, 0] * out[0] + rot[k, 1] * out[1] + rot[k, 2] * out[2]
+                velocity[k] += h * (force / mass + (gravity if k == 2 else 0.0))
+                rates[k] += h * (inverse[k, 0] * about[0] + inverse[k, 1] * about[1] + inverse[k, 2] * about[2])
                 position[k] += h * velocity[k]
             angle = math.sqrt(rates[0] ** 2 + rates[1] ** 2 + rates[2] ** 2) * h
             s, c = (math.sin(angle) / angle, (1.0 - math.cos(angle)) / angle**2) if angle > 1e-12 else (1.0, 0.5)
@@ -159,7 +162,12 @@ def _loop(
             turn[0, 0], turn[0, 1], turn[0, 2] = 1 - c * (b * b + d * d), c * a * b - s * d, c * a * d + s * b
             turn[1, 0], turn[1, 1], turn[1, 2] = c * a * b + s * d, 1 - c * (a * a + d * d), c * b * d - s * a
             turn[2, 0], turn[2, 1], turn[2, 2] = c * a * d - s * b, c * b * d + s * a, 1 - c * (a * a + b * b)
-            rot[:] = rot @ turn
+            for i in range(3):
+                for j in range(3):
+                    turned[i, j] = rot[i, 0] * turn[0, j] + rot[i, 1] * turn[1, j] + rot[i, 2] * turn[2, j]
+            for i in range(3):
+                for j in range(3):
+                    rot[i, j] = turned[i, j]
             for i in range(4):
                 rotors[i] = target[i] + (rotors[i] - target[i]) * math.exp(-h / lag)
 
@@ -185,6 +193,7 @@ def fly(
     belief  the model that the controller is made from, when it is not the one that flies.
     """
     offset = np.zeros(6) if offset is None else np.asarray(offset, float)
+    inertia = np.ascontiguousarray(model.airframe.inertia, float)
     kind, p, size = make_controller(settings, belief or model, offset=offset)
     lag = model.document["actuators"]["time constants"]["value"][0]
     factor = model.airframe.logged_to_rad_s
@@ -200,8 +209,8 @@ def fly(
     # the reference's sensors: 0.01 m/s and sqrt(8.73e-5) rad/s
     white = noise * np.random.default_rng(1).normal(0.0, [0.01] * 3 + [0.0093] * 3, (len(goals), 6))
     _loop(
-        kind, p, np.zeros(size), np.asarray(goals, float), dt, fine, model.kernel, constants, model.airframe.inertia,
-        offset, rot, state, np.array(share, float), np.array(cap, float), fault, white, log,
+        kind, p, np.zeros(size), np.asarray(goals, float), dt, fine, model.kernel, constants, inertia,
+        np.linalg.inv(inertia), offset, rot, state, np.array(share, float), np.array(cap, float), fault, white, log,
     )  # fmt: skip
     return log
 

@@ -61,6 +61,12 @@ def starter():
     return process
 
 
+def ask_starter(request):
+    """Answer of the starter to a request, see there."""
+    print(json.dumps(request), file=starter().stdin, flush=True)
+    return json.loads(starter().stdout.readline())
+
+
 @dataclass
 class Project:
     """A project folder, and the library that runs it: this one, or a copy for a test that edits it."""
@@ -96,8 +102,7 @@ class Project:
             "arguments": arguments,
             "printed": str(printed),
         }
-        print(json.dumps(request), file=starter().stdin, flush=True)
-        return int(starter().stdout.readline()), printed.read_text()
+        return ask_starter(request), printed.read_text()
 
     def would_run(self, target="models/small/standalone"):
         """{rule: number of jobs} of a dry run; {} when nothing is to be done."""

@@ -1,8 +1,9 @@
 """A process that has imported Snakemake and starts every run as a fork of itself: four seconds less for each.
 
 Imports of others take most of a dry run's time, and of the start of a run's job server, which is another fork. The
-library is not among them: every run and every server reads it anew. Chaos and nano-drone tests start Python instead.
-Requests are lines of JSON on standard input; the answer to each is its exit code.
+library is not among them: every run and every server reads it anew. The nano-drone test starts Python instead.
+Requests are lines of JSON on standard input. The answer to a run is its exit code. To a run in a session of its own it
+is the process number; asked with that, the answer is the exit code, or null while the run goes on.
 """
 
 import atexit
@@ -42,11 +43,17 @@ def serve():
     gc.collect()
     gc.freeze()
     for line in sys.stdin:
-        process = os.fork()
+        request = json.loads(line)
+        own_session = request.get("own session", False)
+        process = request.get("ended") or os.fork()
         if process == 0:
-            return json.loads(line)
-        status = os.waitpid(process, 0)[1]
-        print(os.waitstatus_to_exitcode(status), flush=True)
+            if own_session:
+                os.setsid()
+                print(os.getpid(), flush=True)
+            return request
+        if not own_session:
+            ended, status = os.waitpid(process, os.WNOHANG if "ended" in request else 0)
+            print(os.waitstatus_to_exitcode(status) if ended else "null", flush=True)
     return None
 
 

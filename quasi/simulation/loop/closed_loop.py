@@ -294,7 +294,7 @@ def run_loop(parameters, state, scratch, first, steps, every, log, close):
     ) = state
     inputs, work, loads, last_loads, derivatives, stage_state = scratch
     begin = np.empty(6)
-    row = 0
+    row = np.int64(0)  # of a plain 0, the compiler makes a version of `log_row` of its own
     for k in range(first, first + steps + (1 if close else 0)):
         t = k * dt
         update_environment(t, wind, wind_table, fault, battery, clock, x, step_inputs, gust, air, speeds, voltage)
@@ -330,7 +330,8 @@ def run_loop(parameters, state, scratch, first, steps, every, log, close):
                     stage_state,
                 )
                 if part == 0:
-                    begin[:] = loads
+                    for i in range(6):
+                        begin[i] = loads[i]
             advance_gust(wind, dt, random, random_numbers, gust)
         if wanted:
             if log.shape[1] >= FULL_LOG_SIZE:
