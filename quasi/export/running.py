@@ -84,7 +84,8 @@ def run_c(model: Model, files: Mapping[str, str], at: States, float32: bool = Fa
     real = ctypes.c_float if float32 else ctypes.c_double
     with tempfile.TemporaryDirectory(prefix="quasi-export-") as folder:
         write_files(folder, files)
-        flags = ("-std=c99", "-O2", "-ffp-contract=off", "-fPIC", "-shared")
+        # called a few times: optimised, it takes three times as long to compile and gives the same results
+        flags = ("-std=c99", "-O0", "-ffp-contract=off", "-fPIC", "-shared")
         defines = ["QUASI_FLOAT32"] if float32 else []
         path = shared_library(folder, [f"{p}.c"], "model.so", defines, flags)
         library = ctypes.CDLL(str(path))

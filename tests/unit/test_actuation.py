@@ -18,7 +18,7 @@ from quasi.gap.levels.drive.held_out import gains
 from quasi.gap.levels.drive.identify import NORMAL, examine
 from quasi.tables import TELEMETRY_AGE_REMOVED
 
-RATE, SECONDS, FINER = 500.0, 8.0, 4
+RATE, SECONDS, FINER = 500.0, 6.0, 4
 MAP, VOLTS, UP, DOWN = (380.0, 4650.0, -1200.0), 15.2, 0.022, 0.030
 FRAME = Airframe("Made", 0.43, np.eye(3) * 1e-3, 0.04, 0.08, np.zeros((4, 3)), np.ones(4))
 MODEL = {
@@ -46,16 +46,16 @@ def kept_fits():
 def flown(
     seed, compared=True, up=UP, down=DOWN, late=0.0, age=0.002, told=False, exponent=1.0, limit=1.0,
     gains=(1.0, 1.0, 1.0, 1.0), slower=(1.0, 1.0, 1.0, 1.0), voltage=True,
-    noise=2.0, reading=0.0, sag=1.2,
+    noise=2.0, reading=0.0, sag=1.2, seconds=SECONDS,
 ):  # fmt: skip
     """One flight; every rotor follows dW/dt = (wanted - W) / tau by Euler steps at four times the rate.
 
     noise  rad/s, of the logged speeds; reading  V, of the logged voltage; sag  V lost over the flight
     """
     rng = np.random.default_rng(seed)
-    t = np.arange(0.0, SECONDS, 1.0 / RATE)
-    fine = np.arange(0.0, SECONDS, 1.0 / (FINER * RATE))
-    volts = 16.4 - sag * t / SECONDS + 0.05 * np.sin(3.0 * t)
+    t = np.arange(0.0, seconds, 1.0 / RATE)
+    fine = np.arange(0.0, seconds, 1.0 / (FINER * RATE))
+    volts = 16.4 - sag * t / seconds + 0.05 * np.sin(3.0 * t)
     columns = {"t": t, "valid": np.ones(len(t))}
     spread = rng.normal(1.0, 0.02)  # motors differ from flight to flight
     for i in range(4):
@@ -127,7 +127,7 @@ def test_a_fault_of_the_drive_is_found_with_its_size(fault, cause, name, truth, 
 @pytest.mark.parametrize("exponent", [1.0, 0.5])
 def test_noise_of_the_voltage_readings_makes_no_exponent_smaller(exponent, references):
     """What is new of speeds that are logged well is that noise; by it alone, 1 came out below 0.1."""
-    logged = {"noise": 0.2, "reading": 0.05, "sag": 0.3}
+    logged = {"noise": 0.2, "reading": 0.05, "sag": 0.3, "seconds": 8.0}
     flights = [flown(s, exponent=exponent, **logged) for s in (1, 2, 3)]
     fit = fit_drive(flights[0], "shares", belief_of(MODEL, "shares"))
     assert fit.values[6] == pytest.approx(exponent, abs=0.02)

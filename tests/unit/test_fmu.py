@@ -14,8 +14,9 @@ from made_model import TERMS, document
 
 from quasi import attitude
 from quasi.errors import ConfigError
+from quasi.export import fmu_archive
 from quasi.export.agreement import states_of, wrench_of
-from quasi.export.compiler import find_compiler, shared_library
+from quasi.export.compiler import FLAGS, find_compiler, shared_library
 from quasi.export.fmu_archive import compile_fmu, platform_folder, write_fmu
 from quasi.export.fmu_running import CO_SIMULATION, MODEL_EXCHANGE, Instance, check_forces, check_vehicle, slopes
 from quasi.export.fmu_source import DELAYED_COMMANDS, STATE_NAMES, forces_fmu, vehicle_fmu
@@ -49,17 +50,29 @@ def on_battery():
     return model(terms, "battery", extensions=[extension], envelope=envelope)
 
 
+@pytest.fixture(scope="module", autouse=True)
+def quick_compiler():
+    """Libraries without optimisation are compiled three times as fast; two are as users have them."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(fmu_archive, "FLAGS", tuple("-O0" if flag == "-O2" else flag for flag in FLAGS))
+        yield
+
+
 @pytest.fixture(scope="module")
 def vehicle(tmp_path_factory):
     folder = tmp_path_factory.mktemp("vehicle")
     made = with_rotors()
     fmu = vehicle_fmu(made)
-    library = write_fmu(folder / "vehicle.fmu", fmu, folder)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(fmu_archive, "FLAGS", FLAGS)
+        library = write_fmu(folder / "vehicle.fmu", fmu, folder)
     return made, fmu, library, folder / "vehicle.fmu"
 
 
 @pytest.mark.parametrize("make", [*MODELS.values(), normalised, on_battery])
-def test_fmus_are_valid_and_give_the_model_s_numbers(make, tmp_path):
+def test_fmus_are_valid_and_give_the_model_s_numbers(make, tmp_path, monkeypatch):
+    if make is MODELS["bundled"]:
+        monkeypatch.setattr(fmu_archive, "FLAGS", FLAGS)
     made = make()
     for describe, check in ((forces_fmu, check_forces), (vehicle_fmu, check_vehicle)):
         try:

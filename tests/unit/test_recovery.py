@@ -11,7 +11,7 @@ ROOT = Path(__file__).parents[2]
 
 @pytest.fixture(scope="module")
 def draws():
-    return [recovery.draw({"seed": k, "pool": recovery.POOL}) for k in range(1, 5)]
+    return [recovery.draw({"seed": k, "pool": recovery.POOL}) for k in range(1, 4)]
 
 
 def test_strong_terms_are_found_and_nearly_nothing_else(draws):
