@@ -75,9 +75,9 @@ def with_levels(inputs: Inputs, factors: np.ndarray, flying: np.ndarray, folded:
 
     The last factor, raised to the share `folded` (N,), scales the accelerometer as well.
     """
-    noise = inputs.noise.copy()
-    noise[flying, :3] *= factors[0]
-    noise[flying, 3:] *= (factors[1] * factors[FOLDED] ** folded[flying])[:, None]
+    noise, rows = inputs.noise.copy(), slice(None) if flying.all() else flying
+    noise[rows, :3] *= factors[0]
+    noise[rows, 3:] *= factors[1] * (factors[FOLDED] ** folded[rows, None] if factors[FOLDED] != 1.0 else 1.0)
     return inputs._replace(noise=noise, std=inputs.std * factors[2:FOLDED, None])
 
 
@@ -118,15 +118,20 @@ def estimate_levels(inputs: Inputs, flying: np.ndarray, floor: np.ndarray, folde
         for a, b in _stretches(flying, len(flying), round(NOISE_WINDOW / inputs.dt), folded * lines)
     ]
     scale = sum(int(part.used.sum()) for part, *_ in parts) + 1
+    costs: dict[bytes, float] = {}  # a line search begins where the last one ended: a quarter of all are asked again
+
+    def cost_of(factors: np.ndarray) -> float:
+        key = factors.tobytes()
+        if key not in costs:
+            costs[key] = sum(cost(with_levels(part, factors, *where)) for part, *where in parts)
+        return costs[key]
 
     def target(free: np.ndarray) -> float:
         logs = np.zeros(FACTORS)
         logs[present] = free
         beyond = np.maximum(logs - high, 0.0) + np.maximum(low - logs, 0.0)
-        factors = np.exp(np.clip(logs, low, high))
-        total = sum(cost(with_levels(part, factors, *where)) for part, *where in parts)
         # where the innovations carry little information, the levels stay near where they began
-        total += float(np.sum((logs / PRIOR) ** 2))
+        total = cost_of(np.exp(np.clip(logs, low, high))) + float(np.sum((logs / PRIOR) ** 2))
         return total / scale + 10.0 * float(np.sum(beyond**2))
 
     at = np.flatnonzero(inputs.used[:, ATTITUDE_KIND] * flying)
