@@ -108,13 +108,12 @@ def test_expected_standard_errors_are_those_of_the_search_itself(noisy):
 
 @pytest.fixture(scope="module")
 def cards():
-    """Fixed heading, turning, near the floor, and with sharp doublets; reference flights beside them."""
+    """Fixed heading, near the floor, and with sharp doublets; reference flights beside them."""
     moves = {m.name: m.flight for m in library(MODEL, [0.0, 0.0, -1.5])}
-    straight = eight(40.0)
+    straight = eight(24.0)
     low = moves["staircase near the floor"]
     return {
         "straight": rows_of(card_of(straight, reference=4)),
-        "turning": rows_of(card_of(eight(40.0, turn=0.6), reference=4)),
         "low": rows_of(card_of(low[[c for c in low if c not in AXES]], reference=4)),
         "sharp": rows_of(card_of(moves["doublets"][[c for c in low if c not in AXES]], reference=4)),
         "alone": rows_of(card_of(straight)),
@@ -124,7 +123,7 @@ def cards():
 def test_a_turn_of_the_heading_shows_wind_that_a_fixed_heading_hides(cards):
     """The probe of the catalogue: t = 4.8 at fixed heading, 24.6 with a yaw sweep."""
     slow = {"x": 0.2, "y": 0.2}
-    still, turned = eight(40.0), eight(40.0, turn=0.6)
+    still, turned = eight(24.0), eight(24.0, turn=0.6)
     for table in (still, turned):
         for axis, share in slow.items():
             table[axis] *= share
