@@ -12,6 +12,7 @@ import numpy as np
 import pandas as pd
 
 from quasi.airframe import Airframe
+from quasi.identification.offsets import less_means
 from quasi.identification.partition import TRAINING
 from quasi.identification.regression import ends_within
 from quasi.terms.expressions import Program, parse
@@ -64,21 +65,23 @@ def add_map_error(
     given = np.array([bool(t.get("given")) for t in result["terms"]])
     known = np.array([t["coefficient"] for t in result["terms"]])[given]
     program = Program(trees)
+    shares = result["share of flight means taken off"]
 
     def coefficients(drive: Mapping[str, Any]) -> np.ndarray:
-        columns, target = [], []
+        both = []
         for key, flight in speeds(drive).items():
             rows = roles[key] == TRAINING
             if not rows.any():
                 continue
             part = flight[rows]
             values = {c: part[c].to_numpy(float) for c in part}
-            columns.append(program.run(Variables(values, airframe, hover, scheme).__getitem__, len(part)).T)
-            target.append(values[axis] / scheme.scale_of(axis, values) if scheme else values[axis])
-        a, z = np.concatenate(columns), np.concatenate(target)
-        whole = np.isfinite(a).all(axis=1) & np.isfinite(z)  # as in the fit: induced velocity lacks in a descent
-        a, z = a[whole], z[whole]
-        return np.linalg.lstsq(a[:, ~given], z - a[:, given] @ known, rcond=None)[0]
+            a = program.run(Variables(values, airframe, hover, scheme).__getitem__, len(part)).T
+            z = values[axis] / scheme.scale_of(axis, values) if scheme else values[axis]
+            table = np.column_stack([a[:, ~given], z - a[:, given] @ known])
+            table = table[np.isfinite(table).all(axis=1)]  # as in the fit: induced velocity lacks in a descent
+            both.append(less_means(table, [len(table)], [shares[key]]))
+        table = np.concatenate(both)
+        return np.linalg.lstsq(table[:, :-1], table[:, -1], rcond=None)[0]
 
     ends = moved_drives(drive)
     slopes = [(coefficients(up) - coefficients(down)) / apart if apart else np.zeros(sum(~given))

@@ -76,7 +76,7 @@ class LessOffsets(Products):
         return part
 
 
-def less_means(values: np.ndarray, sizes: Sequence[int], share: np.ndarray) -> np.ndarray:
+def less_means(values: np.ndarray, sizes: Sequence[int], share: Sequence[float]) -> np.ndarray:
     """Values (n, ...) of flights of so many rows (F,), less a share (F,) of each flight's mean."""
     out, start = np.array(values, float), 0
     for size, part in zip(sizes, share):

@@ -5,6 +5,7 @@ import pytest
 import statsmodels.api as sm
 from flights import AIRFRAME, HOVER, PITCH, flight
 
+from quasi.identification import map_error
 from quasi.identification.candidates import read_specification
 from quasi.identification.fit import fit_axis
 from quasi.identification.offsets import LessOffsets, fit_with_offsets, less_means, shares
@@ -158,3 +159,26 @@ def test_no_term_stands_for_the_places_of_batteries(seated):
     specification = read_specification({"My": section}, "My", "s.json", True)
     found = fit_axis("My", seated, partition(seated), AIRFRAME, {"hover speed": {"value": HOVER}}, {}, specification)
     assert [t["name"] for t in found["terms"]] == ["bias", "U_q", "q"]
+
+
+def test_the_error_of_a_map_moves_coefficients_as_a_fit_anew_does(seated, monkeypatch):
+    """Speeds that a map makes a little higher, and by more in one flight: both with intercepts of their own."""
+    specification = read_specification({"My": {"fixed": ["U_q", "q"], "candidates": []}}, "My", "s.json", True)
+    roles, known = partition(seated), {"hover speed": {"value": HOVER}}
+
+    def speeds(drive):
+        rotors = ["w1", "w2", "w3", "w4"]
+        return {
+            k: t.assign(**{w: t[w] * (1.0 + drive["moved"] * (1.0 + 0.5 * i)) for w in rotors})
+            for i, (k, t) in enumerate(seated.items())
+        }
+
+    step, variance = 1e-3, 4.0
+    monkeypatch.setattr(map_error, "moved_drives", lambda _: [({"moved": step}, {"moved": -step}, 2.0 * step)])
+    ends = [fit_axis("My", speeds({"moved": x}), roles, AIRFRAME, known, {}, specification) for x in (step, -step)]
+    slope = np.subtract(*([t["coefficient"] for t in end["terms"]] for end in ends)) / (2.0 * step)
+    result = fit_axis("My", seated, roles, AIRFRAME, known, {}, specification)
+    plain = np.array(result["covariance"])
+    made = map_error.add_map_error(result, "My", {"covariance": [[variance]]}, speeds, roles, AIRFRAME, HOVER)
+    added = np.diag(np.array(made["covariance"]) - plain)
+    np.testing.assert_allclose(added, variance * slope**2, rtol=0.02)
