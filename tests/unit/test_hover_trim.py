@@ -45,6 +45,26 @@ def found(flights, geometry=GEOMETRY):
 
 
 @pytest.mark.parametrize("rotor", range(4))
+def test_flights_that_differ_in_all_rotors_alike_hide_no_rotor(rotor):
+    """Climb and air make 3 % of all rotors, flight by flight; single rotors are known to a thousandth."""
+    rng = np.random.default_rng(10 + rotor)
+    factors = np.where(np.arange(4) == rotor, 0.87, 1.0)
+
+    def lifted(flights):
+        return [f._replace(thrust=f.thrust * np.exp(rng.normal(0, 0.03))) for f in flights]
+
+    def quiet(flights):
+        of = {f.session: f.thrust for f in flights}
+        return lifted([f._replace(thrust=of[f.session] * np.exp(rng.normal(0, 0.001, 4))) for f in flights])
+
+    references = quiet(fly(rng, "abc", False))
+    comparison, *_ = found(references + quiet(fly(rng, "d", True, factors=factors)))
+    assert comparison.probability[f"rotor {rotor + 1}"] > 0.75
+    assert comparison.spread["flight"] < 0.003 < 0.02 < comparison.spread["lift"]
+    assert found(references + quiet(fly(rng, "d", True)))[1] in ("healthy", "open")
+
+
+@pytest.mark.parametrize("rotor", range(4))
 @pytest.mark.parametrize("effectiveness", [0.75, 1.3])
 def test_a_changed_rotor_is_named_with_its_size(rotor, effectiveness):
     rng = np.random.default_rng(rotor)

@@ -59,6 +59,14 @@ def evidence(thrust=(1.0, 1.0, 1.0, 1.0)):
     return gather_trim({k: table(s, i) for i, (k, s) in enumerate(asked.items())}, ROLES_OF, SESSIONS, vehicle())
 
 
+def test_a_change_that_is_likely_and_not_sure_is_stated_with_what_would_decide():
+    found = evidence((1.0, 1.0, 1.08, 1.0)).document
+    assert (found["word"], found["names"]) == ("open", [])
+    assert f"rotor 3 has the probability {found['probability']['rotor 3']:.2f}" in found["text"]
+    assert "one more session" in found["text"]
+    assert "one more session" not in evidence((1.0, 1.0, 1.03, 1.0)).document["text"]
+
+
 def test_a_weak_rotor_is_stated_with_its_effectiveness():
     found = evidence((1.0, 1.0, 1.0 / 0.75, 1.0))
     assert (found.document["word"], found.document["names"]) == ("named", ["rotor 3"])

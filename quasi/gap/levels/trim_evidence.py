@@ -130,7 +130,14 @@ def _text(word: str, names: Sequence[str], found: Comparison, parameters: Mappin
         f"(standard error {std.max():.0f} %, the spread between sessions included)."
     )
     if word in ("healthy", "open"):
-        return f"{first} The trim names no cause."
+        likeliest = max(found.probability, key=found.probability.get)
+        if likeliest in ("healthy", "unexplained"):
+            return f"{first} The trim names no cause."
+        shares = f"{found.probability[likeliest]:.2f}, no change {found.probability['healthy']:.2f}"
+        return (
+            f"{first} The trim names no cause: {HYPOTHESES.get(likeliest, likeliest)} has the probability {shares}. "
+            "Compared flights of one more session would decide."
+        )
     if word == "changed":
         return f"{first} That is a change, but it fits none of the causes that a trim can show."
     share = sum(found.probability[n] for n in names)
