@@ -32,7 +32,7 @@ class LessOffsets(Products):
     """Products after a share of each flight's means is taken off columns and target.
 
     products  the first of their columns is the constant
-    share     (F,) of the means, per flight in order of their numbers
+    share     (F,) of the means, by number of the flight
     """
 
     def __init__(self, products: Products, share: np.ndarray) -> None:
@@ -42,7 +42,7 @@ class LessOffsets(Products):
         rows = gather @ products.rows
         self._sums = products.cross(0)
         self._means = ((gather @ self._sums) / rows[:, None])[place]
-        self._part = share[place]
+        self._part = np.asarray(share)[products.flight]
         z, total = ((gather @ products.target_sum) / rows)[place], products.target_sum
         n, s = products.rows, self._part
         both = self._means * total[:, None] + z[:, None] * self._sums
@@ -92,8 +92,7 @@ def shares_of_pool(
 ) -> np.ndarray:
     """As `shares`, for the model of some columns of a pool, whose residuals (n,) are known."""
     columns = list(columns)
-    flights, place = np.unique(pool.flight, return_inverse=True)
-    gather = (place == np.arange(len(flights))[:, None]).astype(float)
+    gather = (pool.flight == np.arange(len(series))[:, None]).astype(float)
     sums = np.column_stack([gather @ pool.cross(0)[:, columns], gather @ pool.target_sum])
     gram = np.array([pool.cross(k)[:, columns].sum(axis=0) for k in columns])
     target = pool.target[:, columns].sum(axis=0)
@@ -141,7 +140,7 @@ def _shares(both: np.ndarray, sums: np.ndarray, residuals: np.ndarray, series: S
         # the Schur complement is the squared error
         return float(freedom * (log - size) + size - np.sum(np.log1p(-taken(ratio))))
 
-    about = memory / float(np.mean(rows))
+    about = memory / float(np.mean(rows[rows > 0]))
     found = minimize_scalar(lambda x: criterion(about * np.exp(x)), bounds=np.log(RATIOS), method="bounded")
     return 1.0 - np.sqrt(1.0 - taken(about * np.exp(found.x))) if found.fun < criterion(0.0) else none
 

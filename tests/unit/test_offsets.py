@@ -142,6 +142,22 @@ def test_the_lever_is_right_though_a_battery_is_seated_elsewhere_every_flight(se
         assert (min(taken) > 0.9) if right else (max(taken) == 0.0)
 
 
+def test_a_flight_without_usable_rows_leaves_the_others_as_they_are(seated):
+    specification = read_specification({"My": {"fixed": ["U_q", "q"], "candidates": []}}, "My", "s.json", True)
+    lost = {key: table.assign(My=np.nan) if key == "b" else table for key, table in seated.items()}
+    known, found = {"hover speed": {"value": HOVER}}, []
+    for flights in (lost, {key: table for key, table in seated.items() if key != "b"}):
+        axis = fit_axis("My", flights, partition(flights), AIRFRAME, known, {}, specification)
+        axis["share of flight means taken off"].pop("b", None)
+        found.append(axis)
+    assert found[0]["share of flight means taken off"] == pytest.approx(
+        found[1]["share of flight means taken off"], rel=1e-4
+    )
+    for one, other in zip(*(f["terms"] for f in found)):
+        assert one["coefficient"] == pytest.approx(other["coefficient"], rel=1e-9)
+        assert one["std"] == pytest.approx(other["std"], rel=1e-6)
+
+
 def test_so_is_the_simple_model(seated):
     found = shared(seated, partition(seated), AIRFRAME)
     kappa = found["simple model"]["kappaMy"]
