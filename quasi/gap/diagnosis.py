@@ -98,7 +98,7 @@ def diagnose(
     _add_levels_below(given)
     taken = [*(e["id"] for e in [*below, *named]), *(i for tie in ties for i in tie["ids"])]
     by_trim, tied_by_trim = trim_entries(given.case.trim, taken, {c for e in named for c in e["channels"]})
-    trimmed = unnamed_change(given.case.trim, [*taken, *(e["id"] for e in by_trim)])
+    trimmed = unnamed_change(given.case.trim, [*taken, *(e["id"] for e in by_trim)], bool(named or ties))
     entries = {"effects": [*below, *by_trim, *named], "ties": [*ties, *tied_by_trim]}
     findings = [
         *trimmed,

@@ -139,7 +139,12 @@ def _text(word: str, names: Sequence[str], found: Comparison, parameters: Mappin
             "Compared flights of one more session would decide."
         )
     if word == "changed":
-        return f"{first} That is a change, but it fits none of the causes that a trim can show."
+        likely = ", ".join(
+            f"{HYPOTHESES.get(n, n)} {p:.2f}" for n, p in sorted(found.probability.items(), key=lambda pair: -pair[1])
+            if n not in ("healthy", "unexplained") and p > found.probability["healthy"]
+        )  # fmt: skip
+        named = f" Probabilities: {likely}." if likely else ""
+        return f"{first} That is a change, but no single cause that a trim can show is likely enough.{named}"
     share = sum(found.probability[n] for n in names)
     answer = " or ".join(_words(n, parameters[n]) for n in names)
     return f"{first} The trim shows {answer}, with the probability {share:.2f}."
@@ -261,18 +266,21 @@ def contradicted_by_trim(
     return result
 
 
-def unnamed_change(evidence: TrimEvidence, taken: Collection[str]) -> list[dict[str, Any]]:
+def unnamed_change(evidence: TrimEvidence, taken: Collection[str], acting: bool = False) -> list[dict[str, Any]]:
     """A finding where the trim changed, no cause that a trim names fits it, and none is there.
 
-    Of flights with commands in place of measured speeds alone: elsewhere a constant force or moment
-    of a flight counts as its own trim. taken  ids of the causes that have a name or stand in a tie
+    Of measured speeds only where no cause of forces and moments has a name: wind, for one, is leant against, and
+    changes the trim as well. The balance about yaw alone is one of commands only, see `trim_entries`.
+    taken  ids of the causes that have a name or stand in a tie; acting  whether one of forces and moments does
     """
     document = evidence.document
-    if document.get("source") != "commands" or (document["word"] != "changed" and document["names"] != BALANCE_ALONE):
+    commands = document.get("source") == "commands"
+    if document["word"] != "changed" and not (commands and document["names"] == BALANCE_ALONE):
         return []
-    if set(taken) & {*TRIM_CHANNELS, *OF_TOTAL_THRUST}:
+    if set(taken) & {*TRIM_CHANNELS, *OF_TOTAL_THRUST, *OF_WRONG_SPEEDS} or (acting and not commands):
         return []
-    text = f"{document['text']} It may be another vehicle, other motors or propellers, or several causes at once"
+    other = "another vehicle, other motors" if commands else "a load, air of another density"
+    text = f"{document['text']} It may be {other} or propellers, or several causes at once"
     return [{"id": TRIM, "text": text, "evidence": {"change": document["change"]}}]
 
 
