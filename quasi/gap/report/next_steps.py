@@ -45,6 +45,11 @@ def steps(diagnosis: Mapping[str, Any], known: Mapping[str, Effect]) -> list[str
         for finding in diagnosis.get("findings", ())
         if finding["id"] == "trim"
     ]
+    if _is_likely(diagnosis.get("hover trim") or {}) and not effects and not diagnosis["ties"]:
+        sentences.append(
+            "The trim in steady flight has probably changed. These flights are too few to be sure: fly the compared "
+            "set-up in one more session."
+        )
     own = [e for e in effects if in_model(e)]
     if own:
         sentences.append(
@@ -85,6 +90,12 @@ def steps(diagnosis: Mapping[str, Any], known: Mapping[str, Effect]) -> list[str
             f"{diagnosis['model']} FLIGHT --gap {diagnosis['name']} (docs/flight-card.md)."
         )
     return sentences + _askable(diagnosis, known)
+
+
+def _is_likely(trim: Mapping[str, Any]) -> bool:
+    """Whether the trim has no name for a change that is likelier than none."""
+    shares = trim.get("probability") or {}
+    return trim.get("word") == "open" and max(shares, key=shares.get) not in ("healthy", "unexplained")
 
 
 def in_model(effect: Mapping[str, Any]) -> bool:
