@@ -106,11 +106,12 @@ def trim_figure(trim: Mapping[str, Any]) -> Figure | None:
 
 
 def surest(table: pd.DataFrame) -> tuple[str, str] | None:
-    """Channel and place along which the squared mean errors, each in its standard errors, fall most in sum over the
-    bins; None where no sum exceeds OUT_T squared. table  as returned by `with_errors`"""
+    """Channel and place along which mean errors fall by most, in their standard errors, squared, in sum over the bins;
+    None where no sum exceeds OUT_T squared. A constant error that stays makes no fall. table  of `with_errors`"""
     best, most = None, OUT_T**2
     for kind, part in table[table["where"].isin(PLACE_LABELS)].groupby(["channel", "where"]):
-        fall = (part["mean_before"] ** 2 - part["mean_after"] ** 2) / part["std_before"] ** 2
+        smaller = np.sign(part["mean_before"].abs() - part["mean_after"].abs())
+        fall = smaller * ((part["mean_before"] - part["mean_after"]) / part["std_before"]) ** 2
         if fall.sum() > most:
             best, most = kind, float(fall.sum())
     return best
