@@ -8,7 +8,7 @@ from plain_plant import made_model
 from quasi.attitude import from_euler, rotate_inverse
 from quasi.gap.flights.gathering import gather
 from quasi.gap.levels.rollouts import error_reduction, open_loop
-from quasi.gap.report.figures import figures
+from quasi.gap.report.figures import figures, surest
 from quasi.model.extensions import CONFIGURED_MASS_KEY, compute_flight_mass
 from quasi.model.model import Model
 from quasi.simulation.tools.rollout import rollout
@@ -303,3 +303,13 @@ def test_what_a_cause_is_worth_is_told_by_line_channel_and_horizon(model):
         rolled["rms"]["noise_floor"]["rollouts with trim"]["velocity z"]["0.5"]
         <= (rolled["rms"]["after"]["rollouts with trim"]["velocity z"]["0.5"])
     )
+
+
+def test_the_first_picture_shows_what_falls_and_no_constant_error_that_stays():
+    """Of a drag the picture had shown the vertical force, whose large constant error fell by a twentieth."""
+    bins = pd.DataFrame({"where": "speed", "middle": [1.0, 2.0, 3.0], "std_before": 1.0})
+    stays = bins.assign(channel="Fz", mean_before=20.0, mean_after=19.0)
+    falls = bins.assign(channel="Fx", mean_before=[3.0, 4.0, 5.0], mean_after=0.5)
+    grows = bins.assign(channel="Fy", mean_before=0.0, mean_after=9.0)
+    assert surest(pd.concat([stays, falls, grows])) == ("Fx", "speed")
+    assert surest(pd.concat([stays, grows])) is None

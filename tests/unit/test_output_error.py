@@ -204,6 +204,21 @@ def test_a_cause_of_which_the_base_model_sees_a_part_has_to_be_confirmed(model, 
     assert answer.outcome == REFUTED and "acts on My as well" in answer.why
 
 
+def test_a_cause_that_its_own_flights_contradict_has_to_be_confirmed(model, weak, evidence, study, monkeypatch):
+    """An inertia stood for a chipped rotor: output error did not settle, and held-out flights could not judge it."""
+    fit = output_error.fit
+    for agrees in (True, False):
+        monkeypatch.setattr(output_error, "fit", lambda *a, on=agrees: dataclasses.replace(fit(*a), used=[on]))
+        for std, unsure in ((0.02, True), (0.002, False)):
+            one = cause("rotor_effectiveness", {"rotor2": -0.05}, {"rotor2": std})
+            held = [evidence["f3"]]
+            settled = settle(Searched(study), [one], model, [True] * 3, EFFECTS, vehicle_of(model), held, weak)
+            assert bool(settled.causes) == (agrees or not unsure), (agrees, std)
+            if not settled.causes:
+                ((_, answer),) = settled.dropped
+                assert answer.outcome == REFUTED and "do not agree with its value" in answer.why
+
+
 def test_what_cannot_be_simulated_is_neither_confirmed_nor_dropped(model, weak, evidence, study):
     one = cause("rotor_effectiveness", {"rotor2": -0.05}, {"rotor2": 0.01})
     short = {k: t.assign(valid=np.where(np.arange(len(t)) % 60 == 0, 0.0, 1.0)) for k, t in weak.items()}
