@@ -16,7 +16,8 @@ from quasi.attitude import GRAVITY, rotate
 from quasi.gap.effect import Effect
 from quasi.gap.flights.covariates import EVERYWHERE
 from quasi.gap.flights.evidence import Evidence
-from quasi.gap.levels.forces.nuisance import FORCE_BIAS, MASS_SPREAD, SESSION_SEATING, THRUST_SPREAD
+from quasi.gap.flights.sessions import SESSION_THRUST
+from quasi.gap.levels.forces.nuisance import FORCE_BIAS, MASS_SPREAD, THRUST_SPREAD
 
 Residual = Callable[[Evidence], np.ndarray]
 
@@ -64,7 +65,7 @@ LOADS = (
         "weigh the vehicle; at rest the accelerometer shows 9.81 m/s2; if both are right, the thrust has changed, "
         "or the rotor speeds are logged wrong",
         float(np.sqrt(FORCE_BIAS**2 + MASS_SPREAD**2 + THRUST_SPREAD**2)),
-        SESSION_SEATING,
+        SESSION_THRUST,
         needs_references=True,
     ),
 )

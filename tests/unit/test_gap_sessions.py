@@ -11,9 +11,9 @@ from quasi.attitude import GRAVITY
 from quasi.gap.causes import cg_offset, rotor_effectiveness
 from quasi.gap.constant_loads import LOADS, _covariances
 from quasi.gap.flights import level
-from quasi.gap.flights.sessions import date_of, session_sentence, sessions_of, units
+from quasi.gap.flights.sessions import SESSION_THRUST, date_of, session_sentence, sessions_of, units
 from quasi.gap.levels.forces.identify import compute_leading_p
-from quasi.gap.levels.forces.nuisance import SESSION_SEATING, session_nuisances
+from quasi.gap.levels.forces.nuisance import session_nuisances
 from quasi.gap.profile import Profile
 from quasi.gap.statistics import mixed
 from quasi.gap.statistics.candidates import Candidate, Columns
@@ -165,7 +165,7 @@ def test_compared_and_reference_flights_of_unknown_sessions_may_be_of_two():
     unknown = [SimpleNamespace(mass=0.43, session="") for _ in range(6)]
     alarms = 0
     for _ in range(1000):
-        seats = np.repeat(SESSION_SEATING * rng.standard_normal(2), 3)
+        seats = np.repeat(SESSION_THRUST * rng.standard_normal(2), 3)
         force = weight * (seats + load.spread * rng.standard_normal(6))
         spread = np.array([force[3:].std(ddof=1)])
         (covariance,) = _covariances(load, unknown[:3], unknown[3:], spread)

@@ -7,7 +7,15 @@ import re
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+import numpy as np
+
 _DAY = re.compile(r"(?<!\d)(\d{4}-[01]\d-[0-3]\d)(?!\d)")
+# Standard deviations between healthy sessions, measured on the flights of CrazyPAD by `benchmarks/real_causes.py`: shares
+# of thrust of all rotors (a battery's weight, air density) and along the spin; and of the left against the right, front
+# against rear, in two parts. A hand seats a battery to a part of a millimetre, whatever the size of the vehicle, and
+# propellers differ by a share. On the 46 mm arm of CrazyPAD the two make 1.5 %.
+SESSION_THRUST, SESSION_YAW = 0.015, 0.008
+SEATED_TO, SESSION_PROPELLERS = 0.00065, 0.005  # m of the centre of gravity; share of an arm
 UNSET = "0000-"  # a flight controller without a clock writes the year 0
 
 
@@ -45,6 +53,14 @@ def units(sessions: Sequence[str], compared: Sequence[bool]) -> list[list[int]] 
     if not counts or min(counts.values()) < 2 or len(groups) == len(sessions):
         return None
     return list(groups.values())
+
+
+def seating_spread(arm: float) -> float:
+    """Standard deviation between healthy sessions of the place that the rotors balance about, in arms.
+
+    arm  mean distance of the hubs from the centre of gravity, m
+    """
+    return float(np.hypot(SEATED_TO / arm, SESSION_PROPELLERS))
 
 
 def session_sentence(sessions: Mapping[str, str], roles: Mapping[str, str]) -> str:

@@ -25,12 +25,14 @@ from typing import NamedTuple
 
 import numpy as np
 
+from quasi.gap.flights.sessions import SESSION_THRUST, SESSION_YAW, seating_spread
+
 N_ROTORS = 4
-# Prior medians of the spreads of log thrust that one rotor is asked for: between sessions by the weight and its place
-# (battery, payload) and by the balance about yaw; between flights by each rotor, and by all of them alike. Measured on
-# the healthy flights of CrazyPAD and its flights with tape, `benchmarks/real_causes.py`. The factors are one standard
-# deviation: of sessions, of which there are few; of flights, whose spreads differ by 10 between three vehicles.
-SEATING_SPREAD, YAW_SPREAD, FLIGHT_SPREAD, LIFT_SPREAD = 0.015, 0.008, 0.009, 0.008
+# Prior medians of the spreads of log thrust that one rotor is asked for: between sessions as `quasi.gap.flights.sessions`
+# has them; between flights by each rotor, and by all of them alike, as measured on the healthy flights of CrazyPAD and
+# its flights with tape, `benchmarks/real_causes.py`. The factors are one standard deviation: of sessions, of which there
+# are few, by weight and place alike and about yaw; of flights, whose spreads differ by 10 between three vehicles.
+FLIGHT_SPREAD, LIFT_SPREAD = 0.009, 0.008
 SPREAD_FACTORS = np.array([1.5, 1.5, 2.5, 2.5])
 SPREAD_GRID = np.linspace(-2.0, 2.0, 5)  # of each spread, in standard deviations of its prior
 NUMBERS_AT_ONCE = 4_000_000  # of covariance matrices, 32 MB
@@ -78,7 +80,8 @@ class Hypothesis(NamedTuple):
 @dataclass
 class Comparison:
     """probability {hypothesis: posterior}; parameters {hypothesis: {parameter: (mean, std)}}; change (4,) of log thrust
-    of the compared flights and its covariance (4, 4); spread {"seating", "yaw", "flight", "lift"} posterior means."""
+    of the compared flights and its covariance (4, 4); spread {"weight", "seating" (in arms), "yaw", "flight", "lift"}
+    posterior means."""
 
     probability: dict[str, float]
     parameters: dict[str, dict[str, tuple[float, float]]]
@@ -92,6 +95,12 @@ class Geometry(NamedTuple):
 
     arm: float
     relative: np.ndarray
+
+    @property
+    def session_spreads(self) -> np.ndarray:
+        """Standard deviations (4,) of these between healthy sessions."""
+        place = seating_spread(self.arm)
+        return np.array([SESSION_THRUST, place, place, SESSION_YAW])
 
 
 def geometry_of(positions: np.ndarray, spins: np.ndarray) -> Geometry:
@@ -142,12 +151,13 @@ def compare(flights: Sequence[Flight], candidates: Sequence[Hypothesis], geometr
     # seated anew, a propeller changed), so that a change counts only beyond what sessions differ by
     sessions = np.array([f"{f.is_compared}/{f.session}" for f in flights])
     shared = (sessions[:, None] == sessions[None, :]).astype(float)
-    seating, yaw = (np.kron(shared, part @ part.T) for part in (geometry.relative[:, :3], geometry.relative[:, 3:]))
+    usual = geometry.relative * geometry.session_spreads
+    seating, yaw = (np.kron(shared, part @ part.T) for part in (usual[:, :3], usual[:, 3:]))
     lift = np.kron(np.eye(len(flights)), np.ones((N_ROTORS, N_ROTORS)))
     acting = np.kron(compared[:, None].astype(float), np.eye(N_ROTORS))
     sides = np.column_stack([y, *(acting @ (h.directions * np.array(h.std)) for h in candidates), acting])
     away = np.array(list(itertools.product(SPREAD_GRID, repeat=len(SPREAD_FACTORS))))
-    sizes = SPREAD_FACTORS**away * (SEATING_SPREAD, YAW_SPREAD, FLIGHT_SPREAD, LIFT_SPREAD)
+    sizes = SPREAD_FACTORS**away * (1.0, 1.0, FLIGHT_SPREAD, LIFT_SPREAD)  # of sessions as multiples of the usual ones
     grams, base = [], []
     for part in np.array_split(np.arange(len(away)), -(-len(away) * len(y) ** 2 // NUMBERS_AT_ONCE)):
         scales = sizes[part, :, None, None] ** 2
@@ -162,6 +172,7 @@ def compare(flights: Sequence[Flight], candidates: Sequence[Hypothesis], geometr
     found = [_marginal(gram, slice(i, j)) for i, j in itertools.pairwise(ends)]
     log_posterior = np.stack([np.log(h.prior) + base + gain for h, (gain, *_) in zip(candidates, found)], axis=1)
     weight = np.exp(log_posterior - np.max(log_posterior))
+    sizes = np.hstack([sizes[:, :1] * geometry.session_spreads[[0, 1]], sizes[:, 1:2] * SESSION_YAW, sizes[:, 2:]])
     covariance = np.linalg.inv(gram[:, ends[-1] :, ends[-1] :])
     change = (covariance @ gram[:, ends[-1] :, :1])[:, :, 0]
     return _summary(candidates, weight / weight.sum(), [fit for _, *fit in found], (change, covariance), sizes)
@@ -210,7 +221,7 @@ def _summary(
     change = each @ values
     off = values - change
     covariance = np.tensordot(each, covariances + off[:, :, None] * off[:, None, :], 1)
-    spread = dict(zip(("seating", "yaw", "flight", "lift"), (each @ sizes).tolist()))
+    spread = dict(zip(("weight", "seating", "yaw", "flight", "lift"), (each @ sizes).tolist()))
     return Comparison(probability, parameters, change, covariance, spread)
 
 

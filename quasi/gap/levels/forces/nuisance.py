@@ -21,6 +21,7 @@ from quasi.attitude import GRAVITY
 from quasi.gap.causes.cg_offset import EFFECT as CG_OFFSET
 from quasi.gap.causes.rotor_effectiveness import EFFECT as ROTOR
 from quasi.gap.flights.evidence import Evidence
+from quasi.gap.flights.sessions import SESSION_THRUST, SESSION_YAW, seating_spread
 from quasi.model.columns import ROTORS
 from quasi.model.model import AXES
 
@@ -30,9 +31,6 @@ FORCE_BIAS, MOMENT_BIAS = 0.005, 0.0005  # of m g, and of m g times the arm: wha
 TELEMETRY = 0.003  # s, where it is unknown
 AGE = "age of the rotor telemetry"  # name of its column
 SEATED = ("IMU turned", "markers turned")  # how names of columns begin that are a session's as well as a flight's
-# Standard deviation of each pattern's share of thrust between healthy sessions, and of the pattern along the spin:
-# medians on the healthy flights of CrazyPAD, by `benchmarks/real_causes.py`
-SESSION_SEATING, SESSION_YAW = 0.015, 0.008
 HALF_VARIANCE = 2.0**-0.5  # standard deviation of half of a variance
 
 
@@ -64,10 +62,12 @@ def session_nuisances(evidence: Evidence) -> list[tuple[str, np.ndarray, float]]
     """(name, column (n, 6), standard deviation) of each way in which sessions differ: thrust by pattern of rotors, and
     the place of the weight."""
     hubs = np.asarray(evidence.airframe.hubs)
+    arm = float(np.hypot(hubs[:, 0], hubs[:, 1]).mean())
+    place = HALF_VARIANCE * seating_spread(arm) * arm  # m
     patterns = {
-        "all rotors": (np.ones(len(hubs)), SESSION_SEATING),
-        "left and right": (np.sign(hubs[:, 1]), HALF_VARIANCE * SESSION_SEATING),
-        "front and rear": (np.sign(hubs[:, 0]), HALF_VARIANCE * SESSION_SEATING),
+        "all rotors": (np.ones(len(hubs)), SESSION_THRUST),
+        "left and right": (np.sign(hubs[:, 1]), place / np.abs(hubs[:, 1]).mean()),
+        "front and rear": (np.sign(hubs[:, 0]), place / np.abs(hubs[:, 0]).mean()),
         "along the spin": (np.asarray(evidence.spin, float), SESSION_YAW),
     }
     result, rotors = [], dict(ROTOR.columns(evidence, {}))
@@ -77,9 +77,8 @@ def session_nuisances(evidence: Evidence) -> list[tuple[str, np.ndarray, float]]
         for kind, each in (("thrust", "rotor"), ("torque", "torque"), ("torque by the model", "yaw")):
             column = sum(s * rotors[f"{each}{i}"] for i, s in enumerate(sign, 1))
             result.append((f"session: {kind}, {name}", column, spread))
-    arm = float(np.abs(hubs[:, :2]).mean())
     for name, column in CG_OFFSET.columns(evidence, {}).items():
-        result.append((f"session: centre of gravity, {name}", column, HALF_VARIANCE * SESSION_SEATING * arm))
+        result.append((f"session: centre of gravity, {name}", column, place))
     return result
 
 
