@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 
 _DAY = re.compile(r"(?<!\d)(\d{4}-[01]\d-[0-3]\d)(?!\d)")
-# Standard deviations between healthy sessions, measured on the flights of CrazyPAD by `benchmarks/real_causes.py`: shares
-# of thrust of all rotors (a battery's weight, air density) and along the spin; and of the left against the right, front
-# against rear, in two parts. A hand seats a battery to a part of a millimetre, whatever the size of the vehicle, and
+# Standard deviations between healthy sessions, measured on flights of CrazyPAD by `benchmarks/real_causes.py`. Shares
+# of thrust: of all rotors (a battery's weight, air density), and along the spin. Left against right and front against
+# rear have two parts: a hand seats a battery to a part of a millimetre, whatever the size of the vehicle, and
 # propellers differ by a share. On the 46 mm arm of CrazyPAD the two make 1.5 %.
 SESSION_THRUST, SESSION_YAW = 0.015, 0.008
 SEATED_TO, SESSION_PROPELLERS = 0.00065, 0.005  # m of the centre of gravity; share of an arm

@@ -28,10 +28,10 @@ import numpy as np
 from quasi.gap.flights.sessions import SESSION_THRUST, SESSION_YAW, seating_spread
 
 N_ROTORS = 4
-# Prior medians of the spreads of log thrust that one rotor is asked for: between sessions as `quasi.gap.flights.sessions`
-# has them; between flights by each rotor, and by all of them alike, as measured on the healthy flights of CrazyPAD and
-# its flights with tape, `benchmarks/real_causes.py`. The factors are one standard deviation: of sessions, of which there
-# are few, by weight and place alike and about yaw; of flights, whose spreads differ by 10 between three vehicles.
+# Prior medians of the spreads of log thrust that one rotor is asked for between flights, by each rotor and by all of
+# them alike: measured on the healthy flights of CrazyPAD and its flights with tape, `benchmarks/real_causes.py`. For
+# sessions see `quasi.gap.flights.sessions`. The factors are one standard deviation: of sessions, of which there are
+# few, by weight and place alike and about yaw; of flights, whose spreads differ by 10 between three vehicles.
 FLIGHT_SPREAD, LIFT_SPREAD = 0.009, 0.008
 SPREAD_FACTORS = np.array([1.5, 1.5, 2.5, 2.5])
 SPREAD_GRID = np.linspace(-2.0, 2.0, 5)  # of each spread, in standard deviations of its prior

@@ -8,9 +8,9 @@ Another propeller scales all that its rotor gives, with its inflow. Columns of s
 of the inflow, which looks like a moved centre of gravity.
 
 From session to session batteries are seated anew and propellers change. The spreads of the four patterns of thrust (all
-rotors, left and right, front and rear, along the spin) are those measured for the hover trim. A trim does not separate
-the place of the weight from propellers: of the variance of left and right, front and rear, each has half. A battery
-that is seated elsewhere moves the centre of gravity against the IMU as well, which patterns of thrust do not hold.
+rotors, left and right, front and rear, along the spin) are those of the hover trim. There the place of the weight and
+propellers look alike; here the place is a column of its own, for a battery that is seated elsewhere moves the centre of
+gravity against the IMU as well, and manoeuvres show it otherwise.
 Columns are those of the causes `rotor_effectiveness`, `cg_offset` and, of torque, `rotor_speed_scale` as well: with
 other forms, the data would take a rotor that is a fifth weaker for a session, or a session for a scale of all speeds.
 """
@@ -21,7 +21,7 @@ from quasi.attitude import GRAVITY
 from quasi.gap.causes.cg_offset import EFFECT as CG_OFFSET
 from quasi.gap.causes.rotor_effectiveness import EFFECT as ROTOR
 from quasi.gap.flights.evidence import Evidence
-from quasi.gap.flights.sessions import SESSION_THRUST, SESSION_YAW, seating_spread
+from quasi.gap.flights.sessions import SEATED_TO, SESSION_PROPELLERS, SESSION_THRUST, SESSION_YAW
 from quasi.model.columns import ROTORS
 from quasi.model.model import AXES
 
@@ -31,7 +31,6 @@ FORCE_BIAS, MOMENT_BIAS = 0.005, 0.0005  # of m g, and of m g times the arm: wha
 TELEMETRY = 0.003  # s, where it is unknown
 AGE = "age of the rotor telemetry"  # name of its column
 SEATED = ("IMU turned", "markers turned")  # how names of columns begin that are a session's as well as a flight's
-HALF_VARIANCE = 2.0**-0.5  # standard deviation of half of a variance
 
 
 def nuisances(evidence: Evidence) -> list[tuple[str, np.ndarray, float]]:
@@ -63,11 +62,10 @@ def session_nuisances(evidence: Evidence) -> list[tuple[str, np.ndarray, float]]
     the place of the weight."""
     hubs = np.asarray(evidence.airframe.hubs)
     arm = float(np.hypot(hubs[:, 0], hubs[:, 1]).mean())
-    place = HALF_VARIANCE * seating_spread(arm) * arm  # m
     patterns = {
         "all rotors": (np.ones(len(hubs)), SESSION_THRUST),
-        "left and right": (np.sign(hubs[:, 1]), place / np.abs(hubs[:, 1]).mean()),
-        "front and rear": (np.sign(hubs[:, 0]), place / np.abs(hubs[:, 0]).mean()),
+        "left and right": (np.sign(hubs[:, 1]), SESSION_PROPELLERS * arm / np.abs(hubs[:, 1]).mean()),
+        "front and rear": (np.sign(hubs[:, 0]), SESSION_PROPELLERS * arm / np.abs(hubs[:, 0]).mean()),
         "along the spin": (np.asarray(evidence.spin, float), SESSION_YAW),
     }
     result, rotors = [], dict(ROTOR.columns(evidence, {}))
@@ -78,7 +76,7 @@ def session_nuisances(evidence: Evidence) -> list[tuple[str, np.ndarray, float]]
             column = sum(s * rotors[f"{each}{i}"] for i, s in enumerate(sign, 1))
             result.append((f"session: {kind}, {name}", column, spread))
     for name, column in CG_OFFSET.columns(evidence, {}).items():
-        result.append((f"session: centre of gravity, {name}", column, place))
+        result.append((f"session: centre of gravity, {name}", column, SEATED_TO))
     return result
 
 
