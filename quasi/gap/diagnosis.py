@@ -39,6 +39,7 @@ from quasi.gap.levels.rollouts.confirmation import Settled
 from quasi.gap.levels.rollouts.open_loop import HORIZON, MOVED_BY
 from quasi.gap.levels.trim_evidence import (
     contradicted_by_trim,
+    probably_changed,
     trim_entries,
     unnamed_change,
     why_rotor_is_enough,
@@ -283,11 +284,12 @@ def _document(
         *drive_losses(extension.gap),
     ]
     left = [*lists["unexplained"], *([trimmed] if trimmed else [])]
+    likely = probably_changed(case.trim.document)
     return {
         "schema": SCHEMA,
         "gap": extension.gap,
         "model": settings["model"],
-        "verdict": verdict_of(effects, ties, left, given.unable, bool(base.excluded or lost_by)),
+        "verdict": verdict_of(effects, ties, left, given.unable, bool(base.excluded or lost_by), likely),
         "summary": "",
         "base model": {
             "explained": dict(base.share),
@@ -422,12 +424,13 @@ def _correction_matters(
 
 def verdict_of(
     effects: Sequence[Mapping[str, Any]], ties: Sequence[Any], left: Sequence[Any], unable: str = "",
-    limited: bool = False,
+    limited: bool = False, likely: bool = False,
 ) -> str:  # fmt: skip
     """In a word.
 
     unable   why forces and moments could not be asked: then nothing found is no agreement
     limited  whether axes were left out or the extension makes something worse: then nothing is fully explained
+    likely   whether the trim shows a change that is likelier than none: then nothing found is no agreement
     A sensor finding that changes neither forces nor simulations ("explains" false) explains nothing.
     """
     explaining = [e for e in effects if e.get("explains", True)]
@@ -435,4 +438,4 @@ def verdict_of(
         return "partly explained" if ties or left or unable or limited else "explained"
     if ties:
         return "partly explained"
-    return "unexplained" if left else "not judged" if unable else "agrees"
+    return "unexplained" if left else "not judged" if unable else "open" if likely else "agrees"

@@ -16,6 +16,7 @@ from quasi.gap.levels.rollouts.confirmation import Confirmation, Settled
 from quasi.gap.levels.trim_evidence import (
     expected_change,
     gather_trim,
+    probably_changed,
     rejected_by_trim,
     trim_entries,
     unnamed_change,
@@ -24,7 +25,7 @@ from quasi.gap.levels.trim_evidence import (
 from quasi.gap.report.figures import trim_figure
 from quasi.gap.report.next_steps import steps
 from quasi.gap.report.page import page
-from quasi.gap.report.wording import summary
+from quasi.gap.report.wording import summary, summed_up
 from quasi.gap.selection import Tie
 from quasi.gap.statistics import mixed
 from quasi.gap.verdict import _drop_needless_ties, _significant_next_to_rotor
@@ -65,7 +66,15 @@ def test_a_change_that_is_likely_and_not_sure_is_stated_with_what_would_decide()
     assert f"rotor 3 has the probability {found['probability']['rotor 3']:.2f}" in found["text"]
     assert "one more session" in found["text"]
     assert "one more session" in steps(document() | {"hover trim": found}, KNOWN)[0]
+    assert probably_changed(found) and verdict_of([], [], [], likely=True) == "open"
+    assert (
+        verdict_of([], [], [True], likely=True) == "unexplained"
+        and verdict_of([{}], [], [], likely=True) == "explained"
+    )
+    texts = summed_up(document() | {"hover trim": found, "verdict": "open"}, KNOWN)
+    assert found["text"] in texts[0] and "agree" not in " ".join(texts)
     healthy = evidence((1.0, 1.0, 1.03, 1.0)).document
+    assert not probably_changed(healthy)
     assert "one more session" not in healthy["text"] + " ".join(steps(document() | {"hover trim": healthy}, KNOWN))
 
 

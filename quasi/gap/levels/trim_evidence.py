@@ -104,6 +104,12 @@ def gather_trim(
     return TrimEvidence(document | {"text": _text(word, names, found, document["parameters"])}, found, geometry)
 
 
+def probably_changed(trim: Mapping[str, Any]) -> bool:
+    """Whether the trim has no name for a change that is likelier than none. trim  "hover trim" of diagnosis.json"""
+    shares = trim.get("probability") or {}
+    return trim.get("word") == "open" and max(shares, key=shares.get) not in ("healthy", "unexplained")
+
+
 def _parameters(name: str, found: Comparison, geometry: Geometry, vehicle: Vehicle) -> dict[str, dict[str, Any]]:
     """Parameters of a hypothesis as the catalogue has them: effectiveness, kg, m from the configured cg."""
     result = {}

@@ -6,6 +6,7 @@ from typing import Any
 from quasi.gap.effect import Effect
 from quasi.gap.flights.covariates import UNPLACED
 from quasi.gap.levels.corrections import corrected_at_import, uncorrected
+from quasi.gap.levels.trim_evidence import probably_changed
 from quasi.gap.report.names import alternatives, listed, name_of
 from quasi.gap.report.wording import CHANNEL_NAMES, parameters_of, ranges_of, unasked, words_of
 
@@ -45,7 +46,7 @@ def steps(diagnosis: Mapping[str, Any], known: Mapping[str, Effect]) -> list[str
         for finding in diagnosis.get("findings", ())
         if finding["id"] == "trim"
     ]
-    if _is_likely(diagnosis.get("hover trim") or {}) and not effects and not diagnosis["ties"]:
+    if probably_changed(diagnosis.get("hover trim") or {}) and not effects and not diagnosis["ties"]:
         sentences.append(
             "The trim in steady flight has probably changed. These flights are too few to be sure: fly the compared "
             "set-up in one more session."
@@ -90,12 +91,6 @@ def steps(diagnosis: Mapping[str, Any], known: Mapping[str, Effect]) -> list[str
             f"{diagnosis['model']} FLIGHT --gap {diagnosis['name']} (docs/flight-card.md)."
         )
     return sentences + _askable(diagnosis, known)
-
-
-def _is_likely(trim: Mapping[str, Any]) -> bool:
-    """Whether the trim has no name for a change that is likelier than none."""
-    shares = trim.get("probability") or {}
-    return trim.get("word") == "open" and max(shares, key=shares.get) not in ("healthy", "unexplained")
 
 
 def in_model(effect: Mapping[str, Any]) -> bool:

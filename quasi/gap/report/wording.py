@@ -311,9 +311,7 @@ def rollout_sentence(diagnosis: Mapping[str, Any]) -> str:
     longest = max(r["horizon"] for r in rows)
     units = {"velocity": "m/s", "rate": "rad/s"}
     stay, change, floors = [], [], []
-    for r in rows:
-        if r["horizon"] != longest:
-            continue
+    for r in (row for row in rows if row["horizon"] == longest):
         name, unit = CHANNEL_NAMES[r["quantity"]], units[r["quantity"]]
         if abs(r["after"] - r["before"]) < STAYS * r["before"]:
             stay.append(f"{name} ({r['before']:.3g} {unit})")
@@ -424,6 +422,8 @@ def summed_up(diagnosis: Mapping[str, Any], known: Mapping[str, Effect]) -> list
         texts.append(f"{len(diagnosis['unexplained']) - 3} more residuals are listed in the report.")
     texts += [rollout_sentence(diagnosis), *worse] if effects else []
     nothing, missing = not texts, asked_in_vain(diagnosis, known)
+    if diagnosis.get("verdict") == "open":
+        missing.insert(0, f"A change is likelier than none, but not certain. {diagnosis['hover trim']['text']}")
     if nothing and diagnosis.get("verdict") == "not judged":
         why = unasked(diagnosis, known)
         texts.append(_sentence(f"{_sound(diagnosis, known)}forces and moments could not be asked: {why}"))
