@@ -76,7 +76,8 @@ def prepare(
     corrected = () if loses else faked
     base = worth_after(model, by_role(evidence, roles)["reference"], corrected).of_measured(evidence.values())
     positions = tuple(AXES.index(a) for a in base.excluded)
-    evidence = {k: replace(e, excluded=positions) for k, e in evidence.items()}
+    trim = gather_trim(flights, roles, sessions, vehicle, {k: e.mass for k, e in evidence.items()})
+    evidence = {k: replace(e, excluded=positions, session_scales=trim.scales) for k, e in evidence.items()}
     groups = by_role(evidence, roles)
     learning, held = [*groups["reference"], *groups["compared"]], groups["held out"]
     compared = [False] * len(groups["reference"]) + [True] * len(groups["compared"])
@@ -86,7 +87,6 @@ def prepare(
         lower = ([rotor_order.reorder(f, order) for f in lower[0]], lower[1])
     rate, unheard = (rate_of(settings["false alarm rate"], sum(compared), n) for n in (len(held), 0))
     reject_immaterial(levels, *lower, settings["material share"], unheard / rate)
-    trim = gather_trim(flights, roles, sessions, vehicle, {k: e.mass for k, e in evidence.items()})
     drive, always = _of_the_model(levels["drive"]["effects"], effects)
     case = Case(model, effects, vehicle, learning, compared, held, flights, drive, corrected, settings, always, trim)
     unable = _unable(groups, roles, lost) or _unusable(base)

@@ -37,7 +37,8 @@ class Evidence:
     key, airframe, model, mass (kg, as the flight was processed), inertia (3, 3)
     columns   {name: (n,)} of the filtered flight
     measured  (n, 6) forces (N) and moments (N m); predicted  (n, 6) the model's, alike
-    session   of the flight, see `quasi.gap.flights.sessions`
+    session   of the flight, see `quasi.gap.flights.sessions`; session_scales  how many times as far as usual healthy
+              sessions of the vehicle lie apart, by weight and its place, and about yaw
     excluded  positions of axes on which the model explains nothing: they neither name causes nor judge them
     """
 
@@ -52,6 +53,7 @@ class Evidence:
     metadata: Mapping[str, object] = field(default_factory=dict)
     excluded: tuple[int, ...] = ()
     session: str = ""
+    session_scales: tuple[float, float] = (1.0, 1.0)
 
     def __len__(self) -> int:
         return len(self.predicted)

@@ -145,29 +145,9 @@ def compare(flights: Sequence[Flight], candidates: Sequence[Hypothesis], geometr
     compared = np.array([f.is_compared for f in flights])
     if not compared.any() or compared.all():
         raise ValueError("hover trim needs reference flights and compared flights")
-    y = np.log(np.stack([f.thrust for f in flights])).ravel()
-    fixed = _fixed_covariance(flights)
-    # compared flights never share a session's effect with reference flights: trim also jumps within a session (battery
-    # seated anew, a propeller changed), so that a change counts only beyond what sessions differ by
-    sessions = np.array([f"{f.is_compared}/{f.session}" for f in flights])
-    shared = (sessions[:, None] == sessions[None, :]).astype(float)
-    usual = geometry.relative * geometry.session_spreads
-    seating, yaw = (np.kron(shared, part @ part.T) for part in (usual[:, :3], usual[:, 3:]))
-    lift = np.kron(np.eye(len(flights)), np.ones((N_ROTORS, N_ROTORS)))
     acting = np.kron(compared[:, None].astype(float), np.eye(N_ROTORS))
-    sides = np.column_stack([y, *(acting @ (h.directions * np.array(h.std)) for h in candidates), acting])
-    away = np.array(list(itertools.product(SPREAD_GRID, repeat=len(SPREAD_FACTORS))))
-    sizes = SPREAD_FACTORS**away * (1.0, 1.0, FLIGHT_SPREAD, LIFT_SPREAD)  # of sessions as multiples of the usual ones
-    grams, base = [], []
-    for part in np.array_split(np.arange(len(away)), -(-len(away) * len(y) ** 2 // NUMBERS_AT_ONCE)):
-        scales = sizes[part, :, None, None] ** 2
-        spread = sum(scales[:, k] * m for k, m in enumerate((seating, yaw, np.eye(len(y)), lift)))
-        factor = np.linalg.cholesky(fixed + spread)
-        white = np.linalg.solve(factor, np.broadcast_to(sides, (len(part), *sides.shape)))
-        grams.append(np.swapaxes(white, 1, 2) @ white)
-        base.append(-np.log(np.diagonal(factor, axis1=1, axis2=2)).sum(axis=1))
-    gram = np.concatenate(grams)
-    base = np.concatenate(base) - 0.5 * gram[:, 0, 0] - 0.5 * np.sum(away**2, axis=1)
+    sides = [acting @ (h.directions * np.array(h.std)) for h in candidates]
+    gram, base, sizes = _over_spreads(flights, np.column_stack([*sides, acting]), geometry)
     ends = np.cumsum([1, *(h.directions.shape[1] for h in candidates)])
     found = [_marginal(gram, slice(i, j)) for i, j in itertools.pairwise(ends)]
     log_posterior = np.stack([np.log(h.prior) + base + gain for h, (gain, *_) in zip(candidates, found)], axis=1)
@@ -176,6 +156,47 @@ def compare(flights: Sequence[Flight], candidates: Sequence[Hypothesis], geometr
     covariance = np.linalg.inv(gram[:, ends[-1] :, ends[-1] :])
     change = (covariance @ gram[:, ends[-1] :, :1])[:, :, 0]
     return _summary(candidates, weight / weight.sum(), [fit for _, *fit in found], (change, covariance), sizes)
+
+
+def session_scales(flights: Sequence[Flight], geometry: Geometry) -> tuple[float, float]:
+    """How many times as far as usual the sessions of reference flights lie apart, by weight and place and about yaw: the
+    root of the mean square over the posterior, as a multiple of that over the prior; 1 where one session tells nothing.
+    """
+    if len({f.session for f in flights}) < 2:
+        return 1.0, 1.0
+    _, base, sizes = _over_spreads(flights, np.zeros((N_ROTORS * len(flights), 0)), geometry)
+    squares, weight = sizes[:, :2] ** 2, np.exp(base - base.max())
+    prior = np.exp(-0.5 * np.sum((np.log(sizes[:, :2]) / np.log(SPREAD_FACTORS[:2])) ** 2, axis=1))
+    place, yaw = np.sqrt(np.average(squares, axis=0, weights=weight) / np.average(squares, axis=0, weights=prior))
+    return float(place), float(yaw)
+
+
+def _over_spreads(
+    flights: Sequence[Flight], columns: np.ndarray, geometry: Geometry
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Products (g, 1 + k, 1 + k) of log thrust and columns (4n, k), whitened; log of prior times likelihood (g,) without
+    the columns; and sizes (g, s), those of sessions as multiples of the usual ones; each over all spreads."""
+    sides = np.column_stack([np.log(np.stack([f.thrust for f in flights])).ravel(), columns])
+    fixed = _fixed_covariance(flights)
+    # compared flights never share a session's effect with reference flights: trim also jumps within a session (battery
+    # seated anew, a propeller changed), so that a change counts only beyond what sessions differ by
+    sessions = np.array([f"{f.is_compared}/{f.session}" for f in flights])
+    shared = (sessions[:, None] == sessions[None, :]).astype(float)
+    usual = geometry.relative * geometry.session_spreads
+    seating, yaw = (np.kron(shared, part @ part.T) for part in (usual[:, :3], usual[:, 3:]))
+    lift = np.kron(np.eye(len(flights)), np.ones((N_ROTORS, N_ROTORS)))
+    away = np.array(list(itertools.product(SPREAD_GRID, repeat=len(SPREAD_FACTORS))))
+    sizes = SPREAD_FACTORS**away * (1.0, 1.0, FLIGHT_SPREAD, LIFT_SPREAD)
+    grams, base = [], []
+    for part in np.array_split(np.arange(len(away)), -(-len(away) * len(sides) ** 2 // NUMBERS_AT_ONCE)):
+        scales = sizes[part, :, None, None] ** 2
+        spread = sum(scales[:, k] * m for k, m in enumerate((seating, yaw, np.eye(len(sides)), lift)))
+        factor = np.linalg.cholesky(fixed + spread)
+        white = np.linalg.solve(factor, np.broadcast_to(sides, (len(part), *sides.shape)))
+        grams.append(np.swapaxes(white, 1, 2) @ white)
+        base.append(-np.log(np.diagonal(factor, axis1=1, axis2=2)).sum(axis=1))
+    gram = np.concatenate(grams)
+    return gram, np.concatenate(base) - 0.5 * gram[:, 0, 0] - 0.5 * np.sum(away**2, axis=1), sizes
 
 
 def _fixed_covariance(flights: Sequence[Flight]) -> np.ndarray:

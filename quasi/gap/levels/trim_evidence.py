@@ -19,6 +19,7 @@ from quasi.gap.levels.hover_trim import (
     conclude,
     geometry_of,
     hypotheses,
+    session_scales,
 )
 from quasi.gap.levels.steady_flight import steady_flight
 
@@ -44,11 +45,13 @@ OF_WRONG_SPEEDS = ("rotor_order", "rotor_speed_scale")  # they change the measur
 
 @dataclass(frozen=True)
 class TrimEvidence:
-    """document  plain data for diagnosis.json; comparison and geometry, None where nothing could be compared."""
+    """document  plain data for diagnosis.json; comparison and geometry, None where nothing could be compared; scales
+    of the spreads between sessions, see `quasi.gap.levels.hover_trim.session_scales`."""
 
     document: dict[str, Any]
     comparison: Comparison | None = None
     geometry: Geometry | None = None
+    scales: tuple[float, float] = (1.0, 1.0)
 
 
 def gather_trim(
@@ -101,7 +104,8 @@ def gather_trim(
         "parameters": {n: _parameters(n, found, geometry, vehicle) for n in names},
         "spread": found.spread,
     }
-    return TrimEvidence(document | {"text": _text(word, names, found, document["parameters"])}, found, geometry)
+    document["text"] = _text(word, names, found, document["parameters"])
+    return TrimEvidence(document, found, geometry, session_scales([f for f in flights if not f.is_compared], geometry))
 
 
 def probably_changed(trim: Mapping[str, Any]) -> bool:

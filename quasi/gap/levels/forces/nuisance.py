@@ -59,14 +59,16 @@ def nuisances(evidence: Evidence) -> list[tuple[str, np.ndarray, float]]:
 
 def session_nuisances(evidence: Evidence) -> list[tuple[str, np.ndarray, float]]:
     """(name, column (n, 6), standard deviation) of each way in which sessions differ: thrust by pattern of rotors, and
-    the place of the weight."""
+    the place of the weight; those of this vehicle where its reference flights show them."""
     hubs = np.asarray(evidence.airframe.hubs)
     arm = float(np.hypot(hubs[:, 0], hubs[:, 1]).mean())
+    place, yaw = evidence.session_scales
+    propellers = place * SESSION_PROPELLERS * arm
     patterns = {
-        "all rotors": (np.ones(len(hubs)), SESSION_THRUST),
-        "left and right": (np.sign(hubs[:, 1]), SESSION_PROPELLERS * arm / np.abs(hubs[:, 1]).mean()),
-        "front and rear": (np.sign(hubs[:, 0]), SESSION_PROPELLERS * arm / np.abs(hubs[:, 0]).mean()),
-        "along the spin": (np.asarray(evidence.spin, float), SESSION_YAW),
+        "all rotors": (np.ones(len(hubs)), place * SESSION_THRUST),
+        "left and right": (np.sign(hubs[:, 1]), propellers / np.abs(hubs[:, 1]).mean()),
+        "front and rear": (np.sign(hubs[:, 0]), propellers / np.abs(hubs[:, 0]).mean()),
+        "along the spin": (np.asarray(evidence.spin, float), yaw * SESSION_YAW),
     }
     result, rotors = [], dict(ROTOR.columns(evidence, {}))
     yaw = (evidence.gradient(*ROTORS) * (0.5 * evidence.speeds)[:, None, :])[:, 5]
@@ -76,7 +78,7 @@ def session_nuisances(evidence: Evidence) -> list[tuple[str, np.ndarray, float]]
             column = sum(s * rotors[f"{each}{i}"] for i, s in enumerate(sign, 1))
             result.append((f"session: {kind}, {name}", column, spread))
     for name, column in CG_OFFSET.columns(evidence, {}).items():
-        result.append((f"session: centre of gravity, {name}", column, SEATED_TO))
+        result.append((f"session: centre of gravity, {name}", column, place * SEATED_TO))
     return result
 
 
