@@ -159,8 +159,9 @@ def compare(flights: Sequence[Flight], candidates: Sequence[Hypothesis], geometr
 
 
 def session_scales(flights: Sequence[Flight], geometry: Geometry) -> tuple[float, float]:
-    """How many times as far as usual the sessions of reference flights lie apart, by weight and place and about yaw: the
-    root of the mean square over the posterior, as a multiple of that over the prior; 1 where one session tells nothing.
+    """How many times as far as usual the sessions of reference flights lie apart, by weight and place, and about yaw.
+
+    The root of the mean square over the posterior, as a multiple of that over the prior; 1 where there is one session.
     """
     if len({f.session for f in flights}) < 2:
         return 1.0, 1.0
@@ -174,8 +175,8 @@ def session_scales(flights: Sequence[Flight], geometry: Geometry) -> tuple[float
 def _over_spreads(
     flights: Sequence[Flight], columns: np.ndarray, geometry: Geometry
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Products (g, 1 + k, 1 + k) of log thrust and columns (4n, k), whitened; log of prior times likelihood (g,) without
-    the columns; and sizes (g, s), those of sessions as multiples of the usual ones; each over all spreads."""
+    """Products (g, 1 + k, 1 + k) of log thrust and columns (4n, k), whitened; log of prior times likelihood (g,)
+    without the columns; and sizes (g, s), those of sessions as multiples of the usual ones; each over all spreads."""
     sides = np.column_stack([np.log(np.stack([f.thrust for f in flights])).ravel(), columns])
     fixed = _fixed_covariance(flights)
     # compared flights never share a session's effect with reference flights: trim also jumps within a session (battery
