@@ -50,7 +50,7 @@ def test_lag_and_clock_rate_are_found_within_their_errors(seed, lag, rate):
 def test_standard_errors_are_honest_over_draws():
     errors = []
     for seed in range(10, 18):
-        onboard, capture = sides(seed, 0.8, 2e-5, seconds=25.0)
+        onboard, capture = sides(seed, 0.8, 2e-5, seconds=20.0)
         fit = synchronise(onboard, capture, BOTH, 5.0, "flight").fit
         true = 0.8 + 2e-5 * fit.reference
         errors.append([(fit.lag - true) / fit.lag_std, (fit.rate - 2e-5) / fit.rate_std])
