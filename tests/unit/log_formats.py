@@ -40,7 +40,7 @@ class Flight:
         return slice(None, None, 4)
 
 
-def made_flight(seconds=14.0, rate=250.0):
+def made_flight(seconds=4.5, rate=250.0):
     m = move(seconds=seconds, rate=rate, rest=2.0, loops=False, seed=3, size=0.7)
     lift = np.linalg.norm(m.force, axis=1)
     spin = np.array([0.02, -0.01, 0.015, -0.02])

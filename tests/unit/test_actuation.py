@@ -18,7 +18,7 @@ from quasi.gap.levels.drive.held_out import gains
 from quasi.gap.levels.drive.identify import NORMAL, examine
 from quasi.tables import TELEMETRY_AGE_REMOVED
 
-RATE, SECONDS, FINER = 500.0, 6.0, 4
+RATE, SECONDS, FINER = 500.0, 4.0, 4
 MAP, VOLTS, UP, DOWN = (380.0, 4650.0, -1200.0), 15.2, 0.022, 0.030
 FRAME = Airframe("Made", 0.43, np.eye(3) * 1e-3, 0.04, 0.08, np.zeros((4, 3)), np.ones(4))
 MODEL = {

@@ -16,7 +16,7 @@ from quasi.project.workflow import Folder
 
 @pytest.fixture(scope="module")
 def flight():
-    return made_flight(seconds=6.0)
+    return made_flight(seconds=4.5)
 
 
 def read(path, controller, **quadrotor):

@@ -17,7 +17,7 @@ RATE = 120.0
 
 @pytest.fixture(scope="module")
 def made():
-    campaign = read_campaign({"seed": 6, "duration": 20.0, "flights": [{"key": "bad-1"}]})
+    campaign = read_campaign({"seed": 6, "duration": 18.0, "flights": [{"key": "bad-1"}]})
     return make_flight(campaign, campaign.flights[0])
 
 

@@ -22,7 +22,7 @@ def test_doubt_is_least_where_the_lag_was_found_and_grows_with_the_clock_rates()
 
 
 def test_a_capture_that_is_late_errs_by_what_is_claimed():
-    motion = move(seconds=20.0, seed=9, loops=False)
+    motion = move(seconds=14.0, seed=9, loops=False)
     frame, metadata = measure(motion)
     late = 1e-3
     for name in "xyz":
@@ -39,7 +39,7 @@ def test_a_capture_that_is_late_errs_by_what_is_claimed():
 
 
 def test_a_point_that_lies_elsewhere_is_found_and_velocities_err_by_what_is_claimed():
-    motion = move(seconds=20.0, seed=9, loops=False)
+    motion = move(seconds=14.0, seed=9, loops=False)
     frame, metadata = measure(motion)
     turn = attitude.from_euler(*frame[["roll", "pitch", "yaw"]].to_numpy().T)
     flying = (motion.t > 6.0) & (motion.t < 18.0)

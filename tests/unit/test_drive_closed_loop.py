@@ -16,7 +16,7 @@ from quasi.gap.levels.drive.findings import _odd_rotors, weak
 from quasi.gap.levels.drive.fit import Belief, DriveFit, fit_drive
 from quasi.gap.levels.drive.identify import CATALOGUE, examine
 
-RATE, SECONDS, FINER = 500.0, 12.0, 2
+RATE, SECONDS, FINER = 500.0, 8.0, 2
 LAG, AGE, GAIN, HOVER = 0.02, 0.002, 4000.0, 0.45
 STEP = 1.0 / (RATE * FINER)
 TRUE_LAG = -STEP / np.log(1.0 - STEP / LAG)  # of Euler's steps
@@ -33,13 +33,13 @@ def kept_fits():
 
 
 @functools.cache
-def flown(seed, compared=True, lag=LAG, late=0.0, age=AGE, disturbed=15.0, size=2.0, slowing=1.0):
+def flown(seed, compared=True, lag=LAG, late=0.0, age=AGE, disturbed=15.0, size=2.0, slowing=1.0, seconds=SECONDS):
     """One flight of four rotors, each with a rate that its errors of speed turn and that its command answers.
 
     disturbed  rad/s, of each interval of the log; size  of the manoeuvres; slowing  times the lag, where speed falls
     """
     rng = np.random.default_rng(seed)
-    n, dt = int(SECONDS * RATE), STEP
+    n, dt = int(seconds * RATE), STEP
     t, fine = np.arange(n) / RATE, np.arange(n * FINER) * dt
     columns = {"t": t}
     for i in range(1, 5):
@@ -61,14 +61,14 @@ def flown(seed, compared=True, lag=LAG, late=0.0, age=AGE, disturbed=15.0, size=
         columns[f"command{i}"] = np.array(commands)
     logged = pd.DataFrame(columns)
     names = list(columns)[1:]
-    smooth = logged.assign(valid=((t > 0.5) & (t < SECONDS - 0.5)).astype(float))
+    smooth = logged.assign(valid=((t > 0.5) & (t < seconds - 0.5)).astype(float))
     smooth[names] = low_pass(logged[names].to_numpy(), 40.0, RATE)
     return Flown(f"f{seed}", compared, logged, {}, smooth, {}, FRAME)
 
 
 @pytest.mark.parametrize(("disturbed", "size"), [(0.0, 2.0), (15.0, 2.0), (15.0, 5.0)])
 def test_lag_and_delay_are_the_rotors_own_however_the_controller_answers(disturbed, size):
-    fits = [fit_drive(flown(s, disturbed=disturbed, size=size), "shares", START) for s in (1, 2, 3)]
+    fits = [fit_drive(flown(s, disturbed=disturbed, size=size, seconds=12.0), "shares", START) for s in (1, 2, 3)]
     found = np.mean([d.values[:3] for d in fits], axis=0)
     assert found[:2] == pytest.approx([TRUE_LAG, TRUE_LAG], abs=0.0022)
     assert found[2] == pytest.approx(TRUE_DELAY, abs=0.0022)
@@ -197,7 +197,7 @@ def test_between_samples_of_the_telemetry_nothing_is_compared():
 
 
 def test_telemetry_of_one_sample_a_second_is_compared_with_its_errors():
-    fit = fit_drive(with_slow_telemetry(flown(1), every=500), "shares", START)
+    fit = fit_drive(with_slow_telemetry(flown(1, seconds=12.0), every=500), "shares", START)
     assert fit.rate == pytest.approx(1.0)
     assert np.all(np.isfinite(fit.covariance())) and fit.lag_errors().min() > 0.05
 

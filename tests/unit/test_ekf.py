@@ -133,10 +133,14 @@ def plain_smoother(q, x, P, steps):
     return qs, xs, Ps
 
 
+def begun(seconds):
+    motion = move(seconds=seconds, rest=0.5, seed=3, loops=False)
+    return motion, measure(motion, rest=0.5)[0]
+
+
 @pytest.fixture(scope="module")
 def short():
-    motion = move(seconds=6.0, rest=0.5, seed=3, loops=False)
-    return motion, measure(motion, rest=0.5)[0]
+    return begun(6.0)
 
 
 @pytest.fixture(scope="module")
@@ -154,8 +158,8 @@ def flown():
 
 
 @pytest.mark.parametrize("body", [False, True])
-def test_filter_and_smoother_equal_plain_matrices(short, body):
-    motion, frame = short
+def test_filter_and_smoother_equal_plain_matrices(body):
+    motion, frame = begun(3.0)
     used = inputs_of(motion, frame).used.copy()
     used[::7, ekf.VELOCITY_KIND] = 1
     velocity = attitude.rotate_inverse(motion.q, motion.v) if body else motion.v

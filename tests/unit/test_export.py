@@ -272,14 +272,14 @@ def test_head_says_whether_gravity_is_to_be_added():
 # ---- bad input ----
 
 
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=150, deadline=None)
 @given(st.text(alphabet="ax2d_-5f.+é\U0001f600|["))
 def test_identifiers_are_legal_and_reversible(name):
     made = identifier(name, "quasi_")
     assert made.isascii() and made.isidentifier() and name_of(made, "quasi_") == name
 
 
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=150, deadline=None)
 @given(st.text())
 def test_shown_text_stays_in_comments_and_strings(text):
     plain = shown(text)

@@ -26,7 +26,7 @@ needs_data = pytest.mark.skipif(not DATA.is_dir(), reason=f"real recordings are 
 
 @pytest.fixture(scope="module")
 def flight():
-    return made_flight(seconds=6.0)
+    return made_flight(seconds=4.5)
 
 
 def made(folder, log, capsys):

@@ -36,7 +36,7 @@ def rms(error, where):
 def made(tmp_path_factory):
     """A made flight of 30 s in real formats, its truth, and what the importer makes of it."""
     folder = tmp_path_factory.mktemp("made")
-    campaign = read_campaign({"seed": 5, "duration": 30.0, "flights": [{"key": "made-01"}]})
+    campaign = read_campaign({"seed": 5, "duration": 20.0, "flights": [{"key": "made-01"}]})
     flight = make_flight(campaign, campaign.flights[0])
     asked = written(folder, "made-01", flight)
     offset = flight.metadata["capture"]["offset"]

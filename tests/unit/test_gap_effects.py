@@ -94,7 +94,7 @@ def measured(columns, setup, mass, inertia):
 
 @pytest.fixture(scope="module")
 def ground():
-    campaign = read_campaign({"flights": [{"key": "a", "profile": "mixed", "seed": 1}], "duration": 30}, "t")
+    campaign = read_campaign({"flights": [{"key": "a", "profile": "mixed", "seed": 1}], "duration": 18}, "t")
     airframe = read_airframe(quadrotor_configuration(campaign), "made")
     setup = nominal(120.0, 0.0)
     factors = hover_factors(setup.vehicle.physics)

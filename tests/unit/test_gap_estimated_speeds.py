@@ -31,7 +31,7 @@ MAP = {
 
 @pytest.fixture(scope="module")
 def ground():
-    campaign = read_campaign({"flights": [{"key": "a", "profile": "mixed", "seed": 1}], "duration": 30}, "t")
+    campaign = read_campaign({"flights": [{"key": "a", "profile": "mixed", "seed": 1}], "duration": 18}, "t")
     airframe = read_airframe(quadrotor_configuration(campaign), "made")
     model = simple_model(airframe, 2.4e-7, 3e-9)
     return Model(model.document | {"rotor speeds": MAP})

@@ -22,7 +22,7 @@ STD = np.full(3, 4e-4)
 
 
 def test_arm_and_markers_are_told_apart_from_raw_logs_and_gone_when_these_are_imported_anew(tmp_path):
-    process, airframe = planted(tmp_path, PLANTED, 770, 20.0)
+    process, airframe = planted(tmp_path, PLANTED, 770, 18.0)
     flights = process(None)
     level = sensor_level.examine(flights, {})
     assert [e["id"] for e in level.effects] == ["imu_lever_arm"]  # the comparison of sensors alone cannot know
@@ -41,7 +41,7 @@ def test_arm_and_markers_are_told_apart_from_raw_logs_and_gone_when_these_are_im
 
 def test_what_pulls_at_the_vehicle_is_not_taken_for_an_arm(tmp_path):
     true = np.array([0.0, -0.007, 0.0])
-    process, airframe = planted(tmp_path, {"imu_lever_arm": {"y": -0.007}, "tether": {"k": 1.5}}, 780, 20.0)
+    process, airframe = planted(tmp_path, {"imu_lever_arm": {"y": -0.007}, "tether": {"k": 1.5}}, 780, 18.0)
     flights = process(None)
     factors = hover_factors(nominal(120.0, 0.0).vehicle.physics)
     model = simple_model(airframe, factors["thrust"], factors["torque"], Mx={"p": -1e-4}, My={"q": -1e-4})

@@ -23,23 +23,29 @@ from quasi.gap.levels.sensors.products import blocks_of, dispersion, spread_of_s
 from quasi.gap.statistics.candidates import Candidate
 from quasi.importing.resampling import resample_attitude
 
-RATE, CAPTURED, SECONDS = 500.0, 120.0, 24.0
+RATE, CAPTURED, SECONDS = 500.0, 120.0, 15.0
+SEEDS = 1, 2, 3
 ARM = np.array([0.0, -0.01, -0.048])
 FRAME = Airframe("Made", 0.43, np.eye(3) * 1e-3, 0.04, 0.08, np.zeros((4, 3)), np.ones(4), marker_offset=ARM)
-TRUTH = {seed: body(SECONDS + 1.0, 1000.0, seed) for seed in (1, 2, 3)}
-SEEN = np.arange(0.2, SECONDS + 0.1, 1.0 / CAPTURED)  # s, capture times on its own clock
 
 
 @cache
-def pose(seed, late=0.0):
-    """Place and attitude of a body at the times of the capture, or that much earlier."""
-    return at_times(TRUTH[seed], SEEN - late)
+def truth_of(seed, seconds):
+    """An analytic motion."""
+    return body(seconds + 1.0, 1000.0, seed)
 
 
-def flown(seed, compared=True, removed=0.0, onboard_gain=None, **fault):
+@cache
+def pose(seed, seconds, late=0.0):
+    """Capture times on the capture's own clock; place and attitude of a body then, or that much earlier."""
+    seen = np.arange(0.2, seconds + 0.1, 1.0 / CAPTURED)
+    return seen, *at_times(truth_of(seed, seconds), seen - late)
+
+
+def flown(seed, compared=True, removed=0.0, onboard_gain=None, seconds=SECONDS, **fault):
     """One flight: gyro and accelerometer at 500 Hz, capture at 120 Hz, faults as design and effects define them."""
     rng = np.random.default_rng(seed)
-    truth = TRUTH[seed]
+    truth = truth_of(seed, seconds)
     spin_up = np.gradient(truth.rates, truth.t, axis=0)
     arm = np.array(fault.get("lever", (0, 0, 0)))
     force = truth.force + np.cross(spin_up, arm) + np.cross(truth.rates, np.cross(truth.rates, arm))
@@ -48,7 +54,7 @@ def flown(seed, compared=True, removed=0.0, onboard_gain=None, **fault):
     force = axes.inv().apply(force) * fault.get("force_scale", 1.0) + fault.get("force_bias", 0.0)
     force = force + np.array([0.0, 0.0, fault.get("steeper", 0.0)]) * (force - force.mean(axis=0))
     clock = fault.get("clock", 0.0)
-    t = np.arange(0.25, SECONDS, 1.0 / RATE)  # what the on-board clock shows
+    t = np.arange(0.25, seconds, 1.0 / RATE)  # what the on-board clock shows
     real = t / (1.0 + clock)
 
     def at(values):
@@ -60,9 +66,9 @@ def flown(seed, compared=True, removed=0.0, onboard_gain=None, **fault):
     folded = sosfiltfilt(butter(4, 8.0, fs=RATE, output="sos"), folded, axis=0)
     gyro = gyro + fault.get("folded", 0.0) * folded / folded.std(axis=0)
     force = at(force) + noise * rng.standard_normal((len(t), 3))
-    seen, there = SEEN, SEEN * (1.0 + removed)  # where import puts them on the on-board clock, with `removed` off
-    place, turned = pose(seed)
-    late = pose(seed, fault.get("rotation_late", 0.0))[1]
+    seen, place, turned = pose(seed, seconds)
+    there = seen * (1.0 + removed)  # where import puts them on the on-board clock, with `removed` off
+    late = pose(seed, seconds, fault.get("rotation_late", 0.0))[2]
     turned, late = (Rotation.from_quat(q, scalar_first=True) for q in (turned, late))
     room = Rotation.from_rotvec([*fault.get("room", (0, 0)), 0.0])
     marked = late * Rotation.from_rotvec(fault.get("markers", (0, 0, 0)))
@@ -167,13 +173,13 @@ def test_a_scale_that_all_axes_share_is_stated_once():
 @pytest.mark.parametrize("folded", [0.1, 0.3])
 def test_vibration_that_folds_into_the_motion_is_no_scale_of_the_gyro(folded):
     """Real flights at 100 Hz had a scale of 1.10: the gyro's noise lay below 10 Hz, and its density is read above."""
-    level = examine([flown(s, folded=folded, compared=c) for c in (True, False) for s in TRUTH], {})
+    level = examine([flown(s, folded=folded, compared=c) for c in (True, False) for s in SEEDS], {})
     assert not any(e["id"] == "gyro_scale" for e in level.effects)
     assert not any("gyro_scale" in t["ids"] for t in level.ties)
 
 
 def test_a_scale_of_the_gyro_beyond_its_noise_is_found_all_the_same():
-    flights = [flown(s, folded=0.1, gyro_scale=1.05) for s in TRUTH] + [flown(s, False, folded=0.1) for s in TRUTH]
+    flights = [flown(s, folded=0.1, gyro_scale=1.05) for s in SEEDS] + [flown(s, False, folded=0.1) for s in SEEDS]
     for value, std in found(examine(flights, {}), "gyro_scale").values():
         assert abs(value - 1.05) < max(3.0 * std, 0.01)
 
@@ -181,13 +187,13 @@ def test_a_scale_of_the_gyro_beyond_its_noise_is_found_all_the_same():
 def test_slopes_that_scatter_from_flight_to_flight_make_no_bias_of_a_scale():
     """As smoothed or late signals do: within a flight the scale errs, so that only the mean counts, a bias as well."""
     steeper = {1: (0.1, -0.1), 2: (-0.08, 0.09), 3: (0.05, -0.04)}
-    references = [flown(s, compared=False, steeper=steeper[s][0]) for s in TRUTH]
-    planted = [flown(s, steeper=steeper[s][1], force_scale=np.full(3, 1.03)) for s in TRUTH]
+    references = [flown(s, compared=False, steeper=steeper[s][0]) for s in SEEDS]
+    planted = [flown(s, steeper=steeper[s][1], force_scale=np.full(3, 1.03)) for s in SEEDS]
     level = examine([*planted, *references], {})
     named, tied = [e["id"] for e in level.effects], [t["ids"] for t in level.ties]
     assert "accelerometer_bias" not in named
     assert "accelerometer_scale" in named or ["accelerometer_bias", "accelerometer_scale"] in list(map(sorted, tied))
-    for flights, low, high in ((references, 0.05, 0.15), ([flown(s, compared=False) for s in TRUTH], 0.0, 1e-9)):
+    for flights, low, high in ((references, 0.05, 0.15), ([flown(s, compared=False) for s in SEEDS], 0.0, 1e-9)):
         weak = [weak_form(f) for f in flights]
         grams = [blocks_of(w, whitener_of(w)).sum(axis=0) for w in weak]
         found = spread_of_slopes(grams, weak[0].names, np.zeros(len(weak), bool), 0.01)
@@ -300,11 +306,12 @@ def with_folded_line(flight, seed):
 
 
 def test_noise_of_few_lines_widens_the_errors_and_white_noise_does_not():
-    usual = [flown(s, noise=0.3) for s in (1, 2, 3)] * 3
+    usual = [flown(s, noise=0.3, seconds=24.0) for s in SEEDS] * 3
     lines = [with_folded_line(flight, seed) for seed, flight in enumerate(usual)]
     found = []
     for flights in (usual, lines):
-        weak = [weak_form(flight) for flight in flights]
+        made = {id(flight): weak_form(flight) for flight in flights}
+        weak = [made[id(flight)] for flight in flights]
         found.append(dispersion([blocks_of(w, whitener_of(w)) for w in weak], weak[0].names, 0.01))
     assert found[0] == {}
     for cause in ("accelerometer_scale", "imu_lever_arm"):

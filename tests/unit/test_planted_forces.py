@@ -28,7 +28,7 @@ def planted():
 
 @pytest.fixture(scope="module")
 def airframe():
-    campaign = read_campaign({"flights": [{"key": "a", "profile": "mixed", "seed": 1}], "duration": 30}, "t")
+    campaign = read_campaign({"flights": [{"key": "a", "profile": "mixed", "seed": 1}], "duration": 18}, "t")
     return read_airframe(quadrotor_configuration(campaign), "made")
 
 

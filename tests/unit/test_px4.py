@@ -19,7 +19,7 @@ POSES = {
 
 @pytest.fixture(scope="module")
 def flight():
-    return made_flight(seconds=10.0)
+    return made_flight(seconds=4.5)
 
 
 def read(path, **quadrotor):

@@ -33,7 +33,7 @@ FULL = {"q": ("qw", "qx", "qy", "qz"), "v": VELOCITY, "p": POSITION}
 
 @pytest.fixture(scope="module")
 def motion():
-    return rigid_body.move(seconds=20.0, rate=200.0, rest=1.0, loops=False)
+    return rigid_body.move(seconds=14.0, rate=200.0, rest=1.0, loops=False)
 
 
 @pytest.fixture(scope="module")

@@ -48,11 +48,11 @@ def test_net_forces_need_no_gravity():
 
 def test_a_symmetric_top_precesses_at_the_printed_rate():
     # Goldstein, Classical Mechanics, 3rd ed., eq. (5.47): body-cone rate (I3 - I1) r / I1
-    n, dt = 1001, 0.001
+    n, dt = 501, 0.001
     inertia = np.diag([1e-3, 1e-3, 1.8e-3])
     r, p = 12.0, 1.5
     out = rollout_body(
-        Body(1.0, inertia, nothing, False), grid(n, dt), states(n, p=p, r=r), np.zeros((n, 4)), [0], 1.0
+        Body(1.0, inertia, nothing, False), grid(n, dt), states(n, p=p, r=r), np.zeros((n, 4)), [0], 0.5
     )[0]
     rate = (1.8e-3 - 1e-3) / 1e-3 * r
     t = grid(n, dt)
@@ -62,9 +62,9 @@ def test_a_symmetric_top_precesses_at_the_printed_rate():
 
 
 def test_a_torque_free_body_keeps_energy_and_angular_momentum_in_the_earth_frame():
-    n = 1001
+    n = 501
     s = states(n, roll=0.2, pitch=0.1, p=6.0, q=-4.0, r=3.0)
-    out = rollout_body(Body(MASS, INERTIA, nothing, False), grid(n), s, np.zeros((n, 4)), [0], 2.0)[0]
+    out = rollout_body(Body(MASS, INERTIA, nothing, False), grid(n), s, np.zeros((n, 4)), [0], 1.0)[0]
     energy = 0.5 * np.einsum("ni,ij,nj->n", out[:, 6:9], INERTIA, out[:, 6:9])
     np.testing.assert_allclose(energy, energy[0], rtol=1e-8)
     momentum = rotate(from_euler(*out[:, :3].T), out[:, 6:9] @ INERTIA)
@@ -92,7 +92,7 @@ def test_a_window_equals_an_independent_integrator():
     t = grid(n, dt)
     speeds = 900 + 40 * np.column_stack([np.sin((3 + k) * t + k) for k in range(4)])
     s = states(n, roll=0.3, pitch=-0.2, yaw=2.0, u=2.0, v=1.0, w=-0.5, p=1.0, q=0.5, r=-1.0)
-    start, steps = 20, 200
+    start, steps = 20, 100
     out = rollout_body(Body(MASS, INERTIA, lively), t, s, speeds, np.array([start]), steps * dt)[0]
 
     def equations(time, y):
@@ -128,9 +128,9 @@ def test_windows_together_equal_windows_alone_and_substeps_agree():
     s = states(n) + 0.3 * r.standard_normal((n, 12))
     speeds = 900 + 10 * r.standard_normal((n, 4))
     body = Body(MASS, INERTIA, lively)
-    starts = np.array([0, 50, 111, 190])
+    starts = np.array([0, 50, 190])
     together = rollout_body(body, t, s, speeds, starts, 0.2)
-    assert together.shape == (4, 101, 12)
+    assert together.shape == (3, 101, 12)
     np.testing.assert_array_equal(together[:, 0, 3:], s[starts, 3:])
     for k, start in enumerate(starts):
         np.testing.assert_allclose(

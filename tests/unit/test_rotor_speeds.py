@@ -40,7 +40,7 @@ MASSES = {"a": MASS, "b": MASS}
 
 @pytest.fixture(scope="module")
 def flights():
-    return {"a": flight(1, 15.0, hidden=0.004), "b": flight(2, 15.0, hidden=0.004)}
+    return {"a": flight(1, 12.0, hidden=0.004), "b": flight(2, 12.0, hidden=0.004)}
 
 
 @pytest.fixture(scope="module")
@@ -83,7 +83,7 @@ def test_motors_that_warm_up_are_found_and_others_are_not_taken_for_it(found):
 
 def test_yaw_torque_behind_another_lag_than_thrust(found):
     assert found[0]["yaw"] is None
-    flights = {k: flight(n, 20.0, hidden=0.004, tau_yaw=0.07) for k, n in (("a", 1), ("b", 2))}
+    flights = {k: flight(n, 15.0, hidden=0.004, tau_yaw=0.07) for k, n in (("a", 1), ("b", 2))}
     drive, _ = identify_rotor_speeds(flights, to_draw(), MASSES)
     assert drive["time constant"]["value"] == pytest.approx(TAU, rel=0.2)
     own = drive["yaw"]
@@ -131,7 +131,7 @@ def test_errors_of_factors_hold_the_scatter_between_flights():
 def test_errors_are_no_others_where_a_value_meets_its_bound(monkeypatch, bound):
     """Differences that a bound cuts short are taken over what is left of them: the delay by itself, at either bound."""
     airframe, point = to_draw(), (OPERATING, 15.0)
-    frame = flight(1, 20.0, hidden=0.004)
+    frame = flight(1, 15.0, hidden=0.004)
     flights = [prepare_flight(frame, np.ones(len(frame), bool), airframe, MASS, "share", point)]
 
     def errors():
@@ -182,7 +182,7 @@ def test_scale_is_relative_until_something_fixes_it(flights, found):
 
 
 def test_commands_logged_late_shorten_the_delay(found):
-    flights = {"a": flight(1, 15.0, late=0.010)}
+    flights = {"a": flight(1, 12.0, late=0.010)}
     drive, _ = identify_rotor_speeds(flights, to_draw(), MASSES)
     assert drive["delay"]["value"] == pytest.approx(found[0]["delay"]["value"] - 0.010, abs=0.004)
 

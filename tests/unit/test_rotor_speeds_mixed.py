@@ -54,7 +54,7 @@ def test_the_scatter_between_teaching_flights_counts_what_is_common_to_them():
 
 
 def test_the_scatter_of_trims_counts_what_is_common_to_the_flights():
-    flights = {k: with_commanded_speeds(flight(n, 15.0, hidden=0.004)) for k, n in (("a", 1), ("b", 2))}
+    flights = {k: with_commanded_speeds(flight(n, 12.0, hidden=0.004)) for k, n in (("a", 1), ("b", 2))}
     drive, _ = identify_rotor_speeds(flights, to_draw(), MASSES)
     logs = np.log([drive["trims"][k] for k in "ab"])
     assert drive["relative error"]["between flights"] == pytest.approx(np.sqrt(np.sum(logs**2) / 4), rel=1e-6)
@@ -82,7 +82,7 @@ def test_flights_that_log_shares_and_commanded_speeds_are_taught_and_trained_wit
     table, _ = silent(3)
     drive, _ = rotor_speeds_of({"m": teacher(1), "a": with_commanded_speeds(table)}, to_draw(), MASSES, {})
     assert drive["input"] == "share" and not drive["scale"]["relative"]
-    both = {"a": with_commanded_speeds(flight(1, 15.0, hidden=0.004)), "b": flight(2, 15.0, hidden=0.004)}
+    both = {"a": with_commanded_speeds(flight(1, 12.0, hidden=0.004)), "b": flight(2, 12.0, hidden=0.004)}
     drive, _ = identify_rotor_speeds(both, to_draw(), MASSES)
     assert drive["input"] == "share"
 
@@ -104,7 +104,7 @@ def test_commanded_speeds_fix_the_scale_and_rows_at_their_limit_are_left_out():
 def test_measured_speeds_of_flights_without_commands_fix_the_scale():
     t, hover = np.arange(ROWS) * 0.01, 1234.0
     measured = pd.DataFrame({"t": t, "az": 0 * t - GRAVITY} | {f"w{i}": hover + 0 * t for i in range(1, 5)})
-    table = flight(1, 15.0, hidden=0.004)
+    table = flight(1, 12.0, hidden=0.004)
     drive, notes = rotor_speeds_of({"m": measured, "a": table}, to_draw(), MASSES, {})
     assert drive["scale"]["thrust factor"]["value"] == pytest.approx(MASS * GRAVITY / (4.0 * hover**2))
     assert not drive["scale"]["relative"] and not any("relative" in note for note in notes)
@@ -114,7 +114,7 @@ def test_measured_speeds_of_flights_without_commands_fix_the_scale():
 
 @pytest.mark.parametrize("taught", [True, False])
 def test_flights_that_only_test_have_no_part_in_the_map(taught):
-    made = {k: with_commanded_speeds(flight(n, 15.0, hidden=0.004)) for k, n in (("a", 1), ("b", 2))}
+    made = {k: with_commanded_speeds(flight(n, 12.0, hidden=0.004)) for k, n in (("a", 1), ("b", 2))}
     if taught:
         made = {"a": teacher(1), "b": teacher(2), "n": silent(3)[0]}
     roles = {k: np.full(len(f), TEST if k == "b" else TRAINING, np.int8) for k, f in made.items()}
@@ -133,7 +133,7 @@ def test_a_rotor_whose_command_never_changes_is_refused_by_number(taught):
 
 
 def test_a_refusal_says_that_commands_were_at_their_limit():
-    table = flight(1, 15.0, hidden=0.004)
+    table = flight(1, 12.0, hidden=0.004)
     table[SHARE_COLUMNS] = np.minimum(1.9 * table[SHARE_COLUMNS], 1.0)
     with pytest.raises(DataError, match=r"s are needed; flight a: a command is at its limit"):
         identify_rotor_speeds({"a": table}, to_draw(), MASSES)
@@ -141,7 +141,7 @@ def test_a_refusal_says_that_commands_were_at_their_limit():
 
 @pytest.mark.parametrize(("late", "ends"), [(0.06, True), (-0.13, True), (0.0, False)])
 def test_commands_further_from_the_motion_than_any_rotor_are_a_note(late, ends):
-    table = with_commanded_speeds(flight(1, 15.0, hidden=0.004))
+    table = with_commanded_speeds(flight(1, 12.0, hidden=0.004))
     names = [f"w{i}_CMD_raw" for i in range(1, 5)]
     t = table["t"].to_numpy()
     table[names] = np.stack([np.interp(t - late, t, table[name]) for name in names], axis=1)
@@ -151,7 +151,7 @@ def test_commands_further_from_the_motion_than_any_rotor_are_a_note(late, ends):
 
 
 def test_the_error_of_speeds_is_no_other_where_a_value_meets_its_bound():
-    table = flight(1, 15.0, hidden=0.004)
+    table = flight(1, 12.0, hidden=0.004)
     made = [prepare_flight(table, np.ones(len(table), bool), to_draw(), MASS, "share", (OPERATING, 15.0))]
     fit = JointFit("linear", made, to_draw(), True)
     fit.run()

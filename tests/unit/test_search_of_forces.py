@@ -7,8 +7,8 @@ from types import SimpleNamespace
 import numpy as np
 import pandas as pd
 import pytest
-from test_unexplained import flight, ground  # noqa: F401
-from test_wrench_level import EFFECTS
+from test_unexplained import ground  # noqa: F401
+from test_wrench_level import EFFECTS, flight
 
 from quasi.gap.catalogue import catalogue, whole_of
 from quasi.gap.effect import vehicle_of

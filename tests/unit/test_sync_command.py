@@ -18,7 +18,7 @@ ARM, LAG, RATE, YAW, DRIFT = np.array([0.03, -0.012, -0.02]), 1.2345, 4e-5, 0.3,
 IMU = ("p", "q", "r", "ax", "ay", "az")
 
 
-def flown(seed, seconds=45.0, arm=ARM):
+def flown(seed, seconds=30.0, arm=ARM):
     """On-board table columns and capture (tau, position, quaternion) of a body whose IMU is at `arm`, with noise.
 
     On-board yaw is less by YAW + DRIFT t than the true one.

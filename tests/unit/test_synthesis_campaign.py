@@ -17,7 +17,7 @@ from quasi_synthesis import campaign as campaigns
 from quasi_synthesis.vehicle import base_vehicle, hover_factors
 
 ROOT = Path(__file__).parents[2]
-SHORT = {"duration": 24, "nuisance": 0.0, "noise": 0.0}
+SHORT = {"duration": 18, "nuisance": 0.0, "noise": 0.0}
 
 
 def make(profile="mixed", key="a", **changes):
@@ -46,7 +46,7 @@ def test_truth_is_consistent_with_newton_and_with_the_kinematics(clean):
     t = truth["t"].to_numpy()
     q = truth[["qw", "qx", "qy", "qz"]].to_numpy()
     v = truth[["vx", "vy", "vz"]].to_numpy()
-    flying = (t > 6.5) & (t < 17.0)
+    flying = (t > 6.5) & (t < 11.0)
     mass = clean.metadata["physics"]["mass"]
     force = attitude.rotate_inverse(q, np.gradient(v, t, axis=0) - [0, 0, GRAVITY]) * mass
     np.testing.assert_allclose(force[flying], truth.loc[flying, ["Fx", "Fy", "Fz"]], atol=0.05)
@@ -72,7 +72,7 @@ def test_the_log_holds_the_truth_in_the_logs_axes_units_and_delays(clean):
     names, rows, _ = decoded(clean)
     column = {name: rows[:, k].astype(float) for k, name in enumerate(names)}
     truth = clean.truth
-    assert len(rows) == len(truth) == 24000
+    assert len(rows) == len(truth) == 18000
     t = (column["time"] - column["time"][0]) * 1e-6
     np.testing.assert_allclose(t, truth["t"], atol=2e-6)
 
@@ -102,7 +102,7 @@ def test_the_capture_shows_the_truth_at_the_stated_clock(clean):
     time = np.array([float(r[1]) for r in rows])
     clock = clean.metadata["clock"]
     at = (time - clock["capture offset"]) / clock["capture rate"]
-    inside = (at > 0) & (at < 23.9)
+    inside = (at > 0) & (at < 17.9)
     xyz = np.array([[float(r[8]), -float(r[6]), -float(r[7])] for r in rows])  # x_E = z_G, y_E = -x_G, z_E = -y_G
     truth = clean.truth
     q = attitude.interpolate(truth[["qw", "qx", "qy", "qz"]].to_numpy(), truth["t"].to_numpy(), at)
@@ -153,13 +153,13 @@ def test_written_files_are_read_back(tmp_path, usual):
 def test_planted_effects_reach_the_flight():
     scaled = make("hover", effects={"rotor_speed_scale": {"scale": 1.1}, "clock_drift": {"rate": 1e-3}})
     names, rows, _ = decoded(scaled)
-    erpm = rows[12000:16000, names.index("eRPM[0]")].mean() / (60 / (2 * math.pi) * 7 / 100)
-    assert erpm / scaled.truth["w1"][12000:16000].mean() == pytest.approx(1.1, abs=2e-3)
-    assert (rows[-1, 1] - rows[0, 1]) * 1e-6 == pytest.approx(23.999 * 1.001, abs=1e-4)
-    assert scaled.truth["t"].iloc[-1] == pytest.approx(23.999 * 1.001, abs=1e-6)
+    erpm = rows[7000:11000, names.index("eRPM[0]")].mean() / (60 / (2 * math.pi) * 7 / 100)
+    assert erpm / scaled.truth["w1"][7000:11000].mean() == pytest.approx(1.1, abs=2e-3)
+    assert (rows[-1, 1] - rows[0, 1]) * 1e-6 == pytest.approx(17.999 * 1.001, abs=1e-4)
+    assert scaled.truth["t"].iloc[-1] == pytest.approx(17.999 * 1.001, abs=1e-6)
     assert scaled.metadata["clock"]["capture rate"] == pytest.approx(1 / 1.001)
     heavy = make("hover", effects={"mass": {"mass": 0.47}, "payload_swing": {"mass": 0.02, "length": 0.4}})
-    hanging = heavy.truth[(heavy.truth["t"] > 12) & (heavy.truth["t"] < 17)]
+    hanging = heavy.truth[(heavy.truth["t"] > 7) & (heavy.truth["t"] < 11)]
     assert hanging[[f"thrust{i}" for i in range(1, 5)]].sum(axis=1).mean() == pytest.approx(0.49 * GRAVITY, rel=0.03)
 
 

@@ -20,7 +20,7 @@ ROOT = Path(__file__).parents[2]
 NANODRONE = SHARED.parent / "nanodrone"
 
 
-def table(seconds=20.0, rate=100.0, rotors_late=0.0, attitude_late=0.0):
+def table(seconds=14.0, rate=100.0, rotors_late=0.0, attitude_late=0.0):
     """Mapping and table (earth NED, body FRD, SI) of a motion; motors that make its roll and pitch acceleration."""
     truth = body(seconds, rate)
     change = np.gradient(truth.rates, truth.t, axis=0)

@@ -6,7 +6,8 @@ from types import SimpleNamespace
 import numpy as np
 import pandas as pd
 import pytest
-from test_unexplained import RATE, ROWS, flight, ground, smooth  # noqa: F401
+from test_unexplained import RATE, ROWS, ground, smooth  # noqa: F401
+from test_unexplained import flight as long_flight
 
 from quasi.gap.catalogue import catalogue, whole_of
 from quasi.gap.effect import Limits, vehicle_of
@@ -28,11 +29,16 @@ from quasi.gap.statistics.scores import Score
 from quasi.model.model import AXES, Model
 
 EFFECTS = {n: catalogue()[n] for n in ("ground_effect", "mass", "thrust_factor", "rotor_speed_scale", "body_drag")}
+SHORT = 3000  # rows of a flight, where those of `test_unexplained` are more than a test needs
+
+
+def flight(ground, seed, rows=SHORT):  # noqa: F811
+    return long_flight(ground, seed, rows=rows)
 
 
 def low(ground, seed, has, values, affected):  # noqa: F811
     """A flight between 8 cm and a metre above the floor, with a cause exactly as its equation has it."""
-    plain = flight(ground, seed)
+    plain = flight(ground, seed, ROWS)
     heights = 0.1 + 0.35 * np.abs(smooth(np.random.default_rng([seed, 5]), 1.0))
     plain = dataclasses.replace(plain, columns={**plain.columns, "z": -heights})
     if not affected:
@@ -70,7 +76,7 @@ def quick(ground, seed):  # noqa: F811
     plain, rng = flight(ground, seed), np.random.default_rng([seed, 6])
     columns = dict(plain.columns)
     for rotor in ("w1", "w2", "w3", "w4"):
-        columns[rotor] = 2110.0 + smooth(rng, 60.0, 0.02)
+        columns[rotor] = 2110.0 + smooth(rng, 60.0, 0.02, SHORT)
         columns[f"{rotor}_dot"] = np.gradient(columns[rotor]) * RATE
     predicted = ground[1].predict_columns(pd.DataFrame(columns))[list(AXES)].to_numpy()
     made = dataclasses.replace(plain, columns=columns, measured=plain.residual + predicted, predicted=predicted)
@@ -125,7 +131,7 @@ def test_flights_that_differ_too_much_are_no_cause_however_alike_their_manoeuvre
     drag = EFFECTS["body_drag"]
 
     def made(k, size):
-        plain = flight(ground, k)
+        plain = flight(ground, k, ROWS)
         whole = whole_of(drag, plain, vehicle_of(model), {"c": size})
         return dataclasses.replace(plain, measured=plain.measured + whole)
 
