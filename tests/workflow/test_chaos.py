@@ -44,12 +44,12 @@ class Run:
 
 
 @pytest.mark.workflow
-def test_three_kills_leave_no_trace(tmp_path, monkeypatch):
+def test_five_kills_leave_no_trace(tmp_path, monkeypatch):
     # `python benchmarks/chaos.py` does 100 over all stages
     monkeypatch.chdir(tmp_path)
     used = {name: getattr(subprocess, name) for name in ("STDOUT", "TimeoutExpired")}
     monkeypatch.setattr(chaos, "subprocess", SimpleNamespace(Popen=Run, **used))
-    arguments = ["--kills", "3", "--flights", "1", "--targets", "flight", "--folder", str(tmp_path / "chaos")]
+    arguments = ["--kills", "5", "--flights", "1", "--targets", "flight", "--folder", str(tmp_path / "chaos")]
     assert chaos.main(arguments) == 0
     found = json.loads((tmp_path / "results/benchmarks/chaos.json").read_text())
-    assert found["kills"] == 3 and found["by SIGTERM"] == 1 and found["artifacts"] >= 4
+    assert found["kills"] == 5 and found["by SIGTERM"] == 2 and found["artifacts"] >= 4
