@@ -115,3 +115,20 @@ def test_the_axes_together_are_tested_by_their_weighted_mean():
     """Mean of 1.0 +- 0.5 and 0.5 +- 0.5: 0.75 +- 0.354, which is 2.12 standard errors."""
     assert p_together([Voice("Fx", 1.0, 0.5), Voice("Fz", 0.5, 0.5)], 1) == pytest.approx(0.0339, abs=1e-4)
     assert p_together([], 1) == 1.0
+
+
+def test_an_axis_that_shows_an_unknown_parameter_of_a_vector_does_not_disagree(study):
+    """Of a moved centre of gravity, x is known and y next to nothing: the axis of y may want many times as much."""
+    offer = mixed.Candidate("cg_offset", "always", (0, 1, 2))
+    value, std = np.array([3e-3, 1e-5, 1e-5]), np.array([3e-4, 6e-4, 6e-4])
+    test = mixed.Test(offer, value, np.diag(std**2), 1.0, float(np.sum((value / std) ** 2)), 0.0)
+    of = {v.axis: v for v in voices(study, [True] * 3, test, [])}
+    assert of["Mx"].turned > 10.0 > 0.2 > of["My"].turned  # y and z make the rolling moment, x most of the pitching one
+    heard = [of["My"]._replace(amount=1.0, std=0.1), of["Mx"]._replace(amount=8.0, std=0.5)]
+    assert disagreement(heard, test.wald) < 1.1 < disagreement([v._replace(turned=0.0) for v in heard], test.wald)
+    known = test._replace(covariance=np.diag((1e-3 * value) ** 2))
+    assert max(v.turned for v in voices(study, [True] * 3, known, [])) < 0.01
+
+
+def test_a_cause_of_one_parameter_has_no_direction(study):
+    assert all(v.turned < 1e-6 for v in heard(study, [-0.05], (1,)).values())

@@ -20,11 +20,21 @@ OPPOSITE = 0.3  # of what the cause is taken to be, with the other sign, that co
 
 
 class Voice(NamedTuple):
-    """The estimate of one axis alone: how much of the cause is there, 1 for all of it, with its standard error."""
+    """The estimate of one axis alone: how much of the cause is there, 1 for all of it, with its standard error.
+
+    turned  standard deviation of the amount for want of the direction of a cause with several parameters: an axis that
+            shows a parameter of which little is known may want many times what the others made of it
+    """
 
     axis: str
     amount: float
     std: float
+    turned: float = 0.0
+
+    @property
+    def error(self) -> float:
+        """Standard deviation of the amount where all axes have one cause."""
+        return float(np.hypot(self.std, self.turned))
 
 
 def voices(
@@ -53,13 +63,18 @@ def voices(
     mixed = ClusteredMixedModel(grams, compared, layout, sessions=[f.session for f in study.flights])
     offers = [Candidate(axis, test.offer.since, (0,)) for axis in names]
     base = [*pooled, *names] if test.offer.since == "changed" else list(pooled)
+    alike = 1.0 / max(test.value @ np.linalg.solve(test.covariance, test.value), 1e-300)  # variance that all axes share
+    seen = sum(part.sum(axis=0) for part, flag in zip(study.channels, mixed.offered(test.offer.since)) if flag)
     result = []
     for axis, offer in zip(names, offers):
         if axis not in channels:
             continue
+        slopes = seen[AXES.index(axis)][np.ix_(own, own)] @ test.value
+        slopes = slopes / max(test.value @ slopes, 1e-300)  # of the amount, by the parameters
+        turned = max(slopes @ test.covariance @ slopes - alike, 0.0) ** 0.5
         others = [*given, *(o for o in offers if o != offer)]
         found, between = mixed.test(offer, others, base), mixed.between(offer, others, base)
-        result.append(Voice(axis, float(found.value[0]), float(max(found.std[0], between.std[0]))))
+        result.append(Voice(axis, float(found.value[0]), float(max(found.std[0], between.std[0])), float(turned)))
     return result
 
 
@@ -86,15 +101,15 @@ def disagreement(heard: Sequence[Voice], wald: float) -> float:
     """
     if len(heard) < 2:
         return 1.0
-    whole = sum(1.0 / v.std**2 for v in heard) ** -0.5
-    mean = sum(v.amount / v.std**2 for v in heard) * whole**2
+    whole = sum(1.0 / v.error**2 for v in heard) ** -0.5
+    mean = sum(v.amount / v.error**2 for v in heard) * whole**2
     sharp = [
         v for v in heard
-        if v.std < 3.0 * len(heard) ** 0.5 * whole or abs(v.amount - mean) > AXIS_T * (v.std**2 + whole**2) ** 0.5
+        if v.error < 3.0 * len(heard) ** 0.5 * whole or abs(v.amount - mean) > AXIS_T * np.hypot(v.error, whole)
     ]  # fmt: skip
     if len(sharp) < 2:
         return 1.0
-    amounts, variances = np.array([(v.amount, v.std**2) for v in sharp]).T
+    amounts, variances = np.array([(v.amount, v.error**2) for v in sharp]).T
     weights = 1.0 / variances
     scatter = weights @ (amounts - weights @ amounts / weights.sum()) ** 2 - (len(sharp) - 1)
     between = max(scatter, 0.0) / (weights.sum() - (weights**2).sum() / weights.sum())
@@ -125,12 +140,12 @@ def p_together(heard: Sequence[Voice], parameters: int) -> float:
 
 def contradiction(heard: Sequence[Voice]) -> str:
     """Why the axes contradict one cause, or nothing: one wants it, another its opposite, both surely."""
-    wanted = [v for v in heard if v.amount > AXIS_T * v.std]
-    against = [v for v in heard if v.amount < min(-OPPOSITE, -AXIS_T * v.std) and AXIS_T * v.std < 1.0]
+    wanted = [v for v in heard if v.amount > AXIS_T * v.error]
+    against = [v for v in heard if v.amount < min(-OPPOSITE, -AXIS_T * v.error) and AXIS_T * v.error < 1.0]
     if not wanted or not against:
         return ""
-    first, last = max(wanted, key=lambda v: v.amount / v.std), min(against, key=lambda v: v.amount / v.std)
+    first, last = max(wanted, key=lambda v: v.amount / v.error), min(against, key=lambda v: v.amount / v.error)
     return (
-        f"{first.axis} shows {first.amount:.2f} +- {first.std:.2f} of it and {last.axis} {last.amount:.2f} +- "
-        f"{last.std:.2f}: one cause acts on both alike"
+        f"{first.axis} shows {first.amount:.2f} +- {first.error:.2f} of it and {last.axis} {last.amount:.2f} +- "
+        f"{last.error:.2f}: one cause acts on both alike"
     )
