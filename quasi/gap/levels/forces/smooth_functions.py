@@ -248,6 +248,11 @@ def _without(gram: np.ndarray, columns: Sequence[int]) -> np.ndarray:
     return gram - gram[:, columns] @ np.linalg.solve(inner, gram[columns])
 
 
+def _explained(inner: np.ndarray, right: np.ndarray) -> np.ndarray:
+    """Squares (n,) of the target that columns explain: `inner` (n, k, k) their products, `right` (n, k, 1) with it."""
+    return (right * np.linalg.solve(inner, right)).sum(axis=(1, 2))
+
+
 def _certain(sums: Sequence[_Sums], found: Sequence[Place], offered: Sequence[Place]) -> dict[Place, float]:
     """Probability of nothing of each offer if flights did not differ: a lower bound, so that few need the full test."""
     result = {}
@@ -258,13 +263,16 @@ def _certain(sums: Sequence[_Sums], found: Sequence[Place], offered: Sequence[Pl
             return [1 + count + k + (width if place.since == "changed" else 0) for k in place.choice.which]
 
         known = [*range(1, 1 + count), *(c for p in found if p.channel == channel for c in columns(p))]
-        rest = _without(total, known)
+        rest, sizes = _without(total, known), {}
         for place in (p for p in offered if p.channel == channel):
             own = [c for c in columns(place) if c not in known]
             alike = [c - width for c in own if c - width not in known] if place.since == "changed" else []
-            left = rest[np.ix_([0, *alike, *own], [0, *alike, *own])]
-            left = _without(left, range(1, 1 + len(alike)))
-            of = range(1 + len(alike), 1 + len(alike) + len(own))
-            gain = left[0, 0] - _without(left, of)[0, 0]
-            result[place] = float(chdtrc(len(own), max(gain, 0.0) * target**2))
+            sizes.setdefault((len(alike), len(own)), []).append((place, [*alike, *own]))
+        for (first, second), places in sizes.items():
+            of = np.array([which for _, which in places])
+            inner = rest[of[:, :, None], of[:, None, :]] + RIDGE * np.eye(first + second)
+            right = rest[of, 0][:, :, None]
+            gain = _explained(inner, right) - _explained(inner[:, :first, :first], right[:, :first])
+            probability = chdtrc(second, np.maximum(gain, 0.0) * target**2)
+            result |= {place: float(p) for (place, _), p in zip(places, probability)}
     return result
