@@ -438,4 +438,4 @@ def verdict_of(
         return "partly explained" if ties or left or unable or limited else "explained"
     if ties:
         return "partly explained"
-    return "unexplained" if left else "not judged" if unable else "open" if likely else "agrees"
+    return "unexplained" if left else "not judged" if unable or likely else "agrees"

@@ -35,7 +35,7 @@ figcaption { color: var(--soft); font-size: 13.5px; margin-top: 4px; }
 """
 VERDICT_CLASSES = {
     "good": "good", "usable with care": "care", "unusable": "bad", "agrees": "good", "explained": "good",
-    "partly explained": "care", "unexplained": "bad", "not judged": "care", "open": "care",
+    "partly explained": "care", "unexplained": "bad", "not judged": "care",
 }  # fmt: skip
 
 

@@ -26,8 +26,7 @@ ARTIFACT_KINDS = {
 
 # words of verdicts, as the page begins
 WORST_FIRST = (
-    "unusable", "unexplained", "not judged", "open", "partly explained", "usable with care", "explained", "agrees",
-    "good",
+    "unusable", "unexplained", "not judged", "partly explained", "usable with care", "explained", "agrees", "good",
 )  # fmt: skip
 
 

@@ -66,12 +66,10 @@ def test_a_change_that_is_likely_and_not_sure_is_stated_with_what_would_decide()
     assert f"rotor 3 has the probability {found['probability']['rotor 3']:.2f}" in found["text"]
     assert "one more session" in found["text"]
     assert "one more session" in steps(document() | {"hover trim": found}, KNOWN)[0]
-    assert probably_changed(found) and verdict_of([], [], [], likely=True) == "open"
-    assert (
-        verdict_of([], [], [True], likely=True) == "unexplained"
-        and verdict_of([{}], [], [], likely=True) == "explained"
-    )
-    texts = summed_up(document() | {"hover trim": found, "verdict": "open"}, KNOWN)
+    assert probably_changed(found) and verdict_of([], [], [], likely=True) == "not judged"
+    assert verdict_of([], [], [True], likely=True) == "unexplained"
+    assert verdict_of([{}], [], [], likely=True) == "explained"
+    texts = summed_up(document() | {"hover trim": found, "verdict": "not judged"}, KNOWN)
     assert found["text"] in texts[0] and "agree" not in " ".join(texts)
     healthy = evidence((1.0, 1.0, 1.03, 1.0)).document
     assert not probably_changed(healthy)

@@ -114,6 +114,12 @@ def probably_changed(trim: Mapping[str, Any]) -> bool:
     return trim.get("word") == "open" and max(shares, key=shares.get) not in ("healthy", "unexplained")
 
 
+def is_undecided(diagnosis: Mapping[str, Any]) -> bool:
+    """Whether a diagnosis is not judged although all was asked: its trim shows a change that is likelier than none."""
+    unjudged = diagnosis.get("verdict") == "not judged" and not diagnosis.get("unable")
+    return unjudged and probably_changed(diagnosis.get("hover trim") or {})
+
+
 def _parameters(name: str, found: Comparison, geometry: Geometry, vehicle: Vehicle) -> dict[str, dict[str, Any]]:
     """Parameters of a hypothesis as the catalogue has them: effectiveness, kg, m from the configured cg."""
     result = {}

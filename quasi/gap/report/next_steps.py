@@ -6,7 +6,7 @@ from typing import Any
 from quasi.gap.effect import Effect
 from quasi.gap.flights.covariates import UNPLACED
 from quasi.gap.levels.corrections import corrected_at_import, uncorrected
-from quasi.gap.levels.trim_evidence import probably_changed
+from quasi.gap.levels.trim_evidence import is_undecided, probably_changed
 from quasi.gap.report.names import alternatives, listed, name_of
 from quasi.gap.report.wording import CHANNEL_NAMES, parameters_of, ranges_of, unasked, words_of
 
@@ -80,7 +80,7 @@ def steps(diagnosis: Mapping[str, Any], known: Mapping[str, Effect]) -> list[str
     sentences += [_visit(left) for left in diagnosis["unexplained"]]
     if diagnosis["unexplained"]:
         sentences.append("Add a cause that you suspect there, and it is tested ('effect files', docs/gaps.md).")
-    if diagnosis["verdict"] == "not judged":
+    if diagnosis["verdict"] == "not judged" and not is_undecided(diagnosis):
         sentences.append(
             f"Forces and moments are not judged yet: {unasked(diagnosis, known)}. Add flights to 'rows of flights to "
             "compare (all)' and 'rows of flights held out' of the gap accordingly."
@@ -150,7 +150,7 @@ def _askable(diagnosis: Mapping[str, Any], known: Mapping[str, Effect]) -> list[
     reasons: dict[str, list[str]] = {}
     for entry in diagnosis["cannot_be_asked"]:
         reasons.setdefault(entry["why"], []).append(name_of(entry["id"]))
-    if diagnosis["verdict"] == "not judged":
+    if diagnosis["verdict"] == "not judged" and not is_undecided(diagnosis):
         reasons.pop(unasked(diagnosis, known), None)
     sentences = []
     for why, names in reasons.items():

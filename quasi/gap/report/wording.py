@@ -9,6 +9,7 @@ from quasi.gap.catalogue import catalogue
 from quasi.gap.effect import Effect
 from quasi.gap.flights.covariates import EVERYWHERE, UNITS_AT, UNPLACED
 from quasi.gap.levels.corrections import uncorrected
+from quasi.gap.levels.trim_evidence import is_undecided
 from quasi.gap.report.names import alternatives, listed, name_of
 from quasi.gap.report.shares import interval_of, percent, reaches_floor, separability_of, share_of, support_of
 
@@ -309,16 +310,14 @@ def rollout_sentence(diagnosis: Mapping[str, Any]) -> str:
     if not rows:
         return ""
     longest = max(r["horizon"] for r in rows)
-    units = {"velocity": "m/s", "rate": "rad/s"}
-    stay, change, floors = [], [], []
+    stay, texts, floors = [], [], []
     for r in (row for row in rows if row["horizon"] == longest):
-        name, unit = CHANNEL_NAMES[r["quantity"]], units[r["quantity"]]
+        name, unit = CHANNEL_NAMES[r["quantity"]], {"velocity": "m/s", "rate": "rad/s"}[r["quantity"]]
         if abs(r["after"] - r["before"]) < STAYS * r["before"]:
             stay.append(f"{name} ({r['before']:.3g} {unit})")
             floors.append((r["after"], r.get("noise_floor")))
         else:
-            change.append(f"the {name} error goes from {r['before']:.3g} to {r['after']:.3g} {unit}")
-    texts = list(change)
+            texts.append(f"the {name} error goes from {r['before']:.3g} to {r['after']:.3g} {unit}")
     # what nothing that can be fitted takes away is no sign of a cause that is missing
     least = all(f is not None and f > (1.0 - STAYS) * after for after, f in floors)
     why = ", even with the best fit of all causes" if least else ""
@@ -359,7 +358,7 @@ def asked_in_vain(diagnosis: Mapping[str, Any], known: Mapping[str, Effect]) -> 
     for entry in diagnosis["cannot_be_asked"]:
         if not isinstance(wanted, str) and entry["id"] in wanted:
             reasons.setdefault(entry["why"], []).append(name_of(entry["id"]))
-    if diagnosis.get("verdict") == "not judged":
+    if diagnosis.get("verdict") == "not judged" and not is_undecided(diagnosis):
         reasons.pop(unasked(diagnosis, known), None)
     return [
         _sentence(f"{listed(list(dict.fromkeys(names)))} could not be asked: {words_of(why, known)}")
@@ -422,15 +421,16 @@ def summed_up(diagnosis: Mapping[str, Any], known: Mapping[str, Effect]) -> list
         texts.append(f"{len(diagnosis['unexplained']) - 3} more residuals are listed in the report.")
     texts += [rollout_sentence(diagnosis), *worse] if effects else []
     nothing, missing = not texts, asked_in_vain(diagnosis, known)
-    if diagnosis.get("verdict") == "open":
+    unjudged = diagnosis.get("verdict") == "not judged" and not is_undecided(diagnosis)
+    if is_undecided(diagnosis):
         missing.insert(0, f"A change is likelier than none, but not certain. {diagnosis['hover trim']['text']}")
-    if nothing and diagnosis.get("verdict") == "not judged":
+    if nothing and unjudged:
         why = unasked(diagnosis, known)
         texts.append(_sentence(f"{_sound(diagnosis, known)}forces and moments could not be asked: {why}"))
     if not nothing and diagnosis.get("unable"):
         texts.append(f"Forces and moments could not be asked: {diagnosis['unable']}.")
     texts += missing
-    if nothing and diagnosis.get("verdict") != "not judged":
+    if nothing and not unjudged:
         begin = "Nothing else that was asked" if missing else "Simulation and flights agree: nothing in the catalogue"
         texts.append(
             f"{begin}, and nothing outside it, is both significant and at least "
