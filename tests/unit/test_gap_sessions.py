@@ -1,5 +1,6 @@
 """Sessions: where they come from, when they are the witnesses of a change, and what one session leaves open."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -11,7 +12,7 @@ from quasi.attitude import GRAVITY
 from quasi.gap.causes import cg_offset, rotor_effectiveness
 from quasi.gap.constant_loads import LOADS, _covariances
 from quasi.gap.flights import level
-from quasi.gap.flights.sessions import SESSION_THRUST, date_of, session_sentence, sessions_of, units
+from quasi.gap.flights.sessions import SESSION_THRUST, date_of, seating_spread, session_sentence, sessions_of, units
 from quasi.gap.levels.forces.identify import compute_leading_p
 from quasi.gap.levels.forces.nuisance import session_nuisances
 from quasi.gap.profile import Profile
@@ -123,8 +124,11 @@ def test_a_battery_that_is_seated_elsewhere_is_what_sessions_differ_by(ground): 
     sizes = [np.abs(column[:, 4]).mean() * size for column, size in (session["session: centre of gravity, x"],
                                                                     (pattern, spread))]  # fmt: skip
     thrust = -seen.force[:, 2].mean()
-    arm = abs(seen.hubs[0, 0])
-    assert np.hypot(*sizes) == pytest.approx(0.015 * arm * thrust, rel=0.1)
+    arm = np.hypot(*seen.hubs[0, :2])
+    assert np.hypot(*sizes) == pytest.approx(seating_spread(arm) * arm * thrust, rel=0.02)
+    scaled = {n: size for n, _, size in session_nuisances(replace(seen, session_scales=(0.5, 3.0)))}
+    for name, (_, size) in session.items():
+        assert scaled[name] == pytest.approx(size * (3.0 if name.endswith("along the spin") else 0.5))
 
 
 def test_a_vector_whose_axes_differ_is_judged_as_a_whole():

@@ -6,7 +6,15 @@ import pytest
 from recordings import SHARED
 
 from quasi.attitude import GRAVITY
-from quasi.gap.levels.hover_trim import Comparison, Flight, compare, conclude, geometry_of, hypotheses
+from quasi.gap.levels.hover_trim import (
+    Comparison,
+    Flight,
+    compare,
+    conclude,
+    geometry_of,
+    hypotheses,
+    session_scales,
+)
 from quasi.gap.levels.steady_flight import steady_flight
 from quasi.importing.readers.crazyflie import read_crazyflie
 
@@ -62,6 +70,26 @@ def test_flights_that_differ_in_all_rotors_alike_hide_no_rotor(rotor):
     assert comparison.probability[f"rotor {rotor + 1}"] > 0.75
     assert comparison.spread["flight"] < 0.003 < 0.02 < comparison.spread["lift"]
     assert found(references + quiet(fly(rng, "d", True)))[1] in ("healthy", "open")
+
+
+def test_a_seat_that_usually_moves_by_millimetres_hides_a_moved_cg_on_a_small_vehicle_only():
+    """The same shares of thrust are a cg moved by 1.5 mm on the small vehicle, and by 15 mm on one ten times as large."""
+    rng = np.random.default_rng(4)
+    flights = [f._replace(thrust=asked(cg=(0.0015 * f.is_compared, 0.0)) * np.exp(rng.normal(0, 0.001, 4)))
+               for f in fly(rng, "abc", False) + fly(rng, "d", True)]  # fmt: skip
+    small, large = (found(flights, geometry_of(size * HUBS, SPINS))[0].probability for size in (1.0, 10.0))
+    assert large["cg"] > 0.9 > 0.7 > small["cg"]
+
+
+def test_reference_flights_show_how_far_apart_sessions_lie():
+    rng = np.random.default_rng(6)
+    apart = fly(rng, "abcd", False)
+    alike = [f._replace(thrust=asked() * np.exp(rng.normal(0, 0.001, 4))) for f in apart]
+    far = [f._replace(thrust=asked(mass=1.0 + 0.08 * "abcd".index(f.session))) for f in apart]
+    place, yaw = session_scales(alike, GEOMETRY)
+    assert place < 0.7 and yaw < 0.95
+    assert 0.7 < session_scales(apart, GEOMETRY)[0] < 1.1 < session_scales(far, GEOMETRY)[0]
+    assert session_scales([f for f in alike if f.session == "a"], GEOMETRY) == (1.0, 1.0)
 
 
 @pytest.mark.parametrize("rotor", range(4))

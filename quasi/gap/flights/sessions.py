@@ -10,10 +10,9 @@ from typing import Any
 import numpy as np
 
 _DAY = re.compile(r"(?<!\d)(\d{4}-[01]\d-[0-3]\d)(?!\d)")
-# Standard deviations between healthy sessions, measured on flights of CrazyPAD by `benchmarks/real_causes.py`. Shares
-# of thrust: of all rotors (a battery's weight, air density), and along the spin. Left against right and front against
-# rear have two parts: a hand seats a battery to a part of a millimetre, whatever the size of the vehicle, and
-# propellers differ by a share. On the 46 mm arm of CrazyPAD the two make 1.5 %.
+# Standard deviations between healthy sessions. Measured on flights of CrazyPAD by `benchmarks/real_causes.py`: 1.5 % of
+# thrust by weight and by its place, 0.8 % along the spin. Assumed: of the place on its arm of 46 mm, a hand that seats
+# a battery makes 0.65 mm, whatever the size of the vehicle, and propellers make the rest, half a percent of any arm.
 SESSION_THRUST, SESSION_YAW = 0.015, 0.008
 SEATED_TO, SESSION_PROPELLERS = 0.00065, 0.005  # m of the centre of gravity; share of an arm
 UNSET = "0000-"  # a flight controller without a clock writes the year 0
