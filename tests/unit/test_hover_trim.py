@@ -73,7 +73,7 @@ def test_flights_that_differ_in_all_rotors_alike_hide_no_rotor(rotor):
 
 
 def test_a_seat_that_usually_moves_by_millimetres_hides_a_moved_cg_on_a_small_vehicle_only():
-    """The same shares of thrust are a cg moved by 1.5 mm on the small vehicle, and by 15 mm on one ten times as large."""
+    """The same shares of thrust are a cg moved by 1.5 mm on the small vehicle, by 15 mm on one ten times as large."""
     rng = np.random.default_rng(4)
     flights = [f._replace(thrust=asked(cg=(0.0015 * f.is_compared, 0.0)) * np.exp(rng.normal(0, 0.001, 4)))
                for f in fly(rng, "abc", False) + fly(rng, "d", True)]  # fmt: skip
