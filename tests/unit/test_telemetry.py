@@ -6,7 +6,7 @@ import pytest
 from scipy.signal import lfilter
 
 from quasi.importing import imu_and_telemetry
-from quasi.importing.clocks.telemetry import Age, rotor_age
+from quasi.importing.clocks.telemetry import Age, rotor_age, rotor_lag
 from quasi.importing.onboard_log import Onboard, Track
 from quasi.importing.readers.table_reader import read_table_log
 
@@ -73,6 +73,20 @@ def test_yaw_takes_off_a_lag_by_roll_and_pitch_what_inflow_and_damping_add(late,
     lag = read_table_log(tmp_path / "log.csv", {"time": "t", "sources": sources}).metadata["sources"]["motors"]
     lag = lag["lag of main stamps"]
     assert lag["applied"] and abs(lag["value"] + late) < max(4 * lag["std"], 0.5e-3), lag
+
+
+@pytest.mark.parametrize("late", [0.0, 0.03])
+@pytest.mark.parametrize("damping", [0.0, 6.0])
+def test_slow_turns_that_are_damped_do_not_look_like_speeds_that_are_late(late, damping):
+    t, rng = np.arange(0.0, 40.0, 1 / 250.0), np.random.default_rng(3)
+    slow = sum(np.sin(2 * np.pi * f * t[:, None] + rng.uniform(0.0, 6.0, 2)) for f in (0.3, 0.5, 0.8, 1.1))
+    speeds = 500.0 + slow @ np.array([LEFT, FRONT]) * 5.0
+    push = speeds**2 @ np.column_stack([LEFT, FRONT]) * 1e-4
+    rates = lfilter([0.5 / 250.0] * 2, [1.0, damping / 250.0 - 1.0], push, axis=0)
+    rates = np.column_stack([rates, 0.0 * t]) + rng.normal(scale=0.003, size=(len(t), 3))
+    found = rotor_lag(t + late, speeds + rng.normal(scale=0.3, size=speeds.shape), t, rates)
+    assert found.lag == pytest.approx(-late, abs=max(4 * found.lag_std, 1e-3))
+    assert found.lag_std < 2e-3
 
 
 def test_short_or_grounded_record_tells_nothing():

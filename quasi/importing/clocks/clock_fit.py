@@ -46,11 +46,15 @@ class Uniform:
 
 @dataclass(frozen=True)
 class Pair:
-    """The same quantities in both records: `first` (n, k) is a linear mix of `other` (m, j) at the right time."""
+    """The same quantities in both records: `first` (n, k) is a linear mix of `other` (m, j) at the right time.
+
+    aside  (n, i) what else is in the mix, on the clock and grid of `first`; None where nothing is
+    """
 
     name: str
     first: Uniform
     other: Uniform
+    aside: np.ndarray | None = None
 
 
 @dataclass(frozen=True)
@@ -215,7 +219,8 @@ def fit(
                 continue
             t, tau, y = t[use], tau[use], pair.first.values[use]
             c, slope = spline(tau), spline(tau, 1)
-            basis = np.concatenate([c, np.ones((len(c), 1))], axis=1)
+            aside = np.zeros((len(c), 0)) if pair.aside is None else pair.aside[use]
+            basis = np.concatenate([c, aside, np.ones((len(c), 1))], axis=1)
             weight = np.ones(y.shape)
             for _ in range(2):
                 mix = np.empty((basis.shape[1], y.shape[1]))
@@ -226,7 +231,7 @@ def fit(
                 scale = 1.4826 * np.median(np.abs(residual), axis=0) + 1e-9 * (np.std(y, axis=0) + 1e-12)
                 weight = 1.0 / np.maximum(1.0, np.abs(residual) / (2.0 * scale))
             variance = np.maximum(scale**2, 1e-300)
-            gradient = -(slope @ mix[:-1]) / (1 + rate)
+            gradient = -(slope @ mix[: c.shape[1]]) / (1 + rate)
             for k in range(y.shape[1]):
                 w = weight[:, k] / variance[k]
                 g = np.stack([gradient[:, k], gradient[:, k] * (tau - reference)], axis=1)
@@ -242,7 +247,7 @@ def fit(
             moving = np.count_nonzero(np.ptp(y, axis=0) > 0)
             share = 1.0 - np.sum(weight * residual**2) / max(np.sum(weight * (y - y.mean(axis=0)) ** 2), 1e-300)
             by_pair[pair.name] = float(share)
-            first_mix = mix[:-1].T if not first_mix.size else first_mix
+            first_mix = mix[: c.shape[1]].T if not first_mix.size else first_mix
             shares.append((float(share), float(moving) * len(y)))
             seconds = max(seconds, len(y) * pair.first.step)
         if not scores:

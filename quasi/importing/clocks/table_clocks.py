@@ -37,7 +37,7 @@ LARGEST_LAG_STD = 0.01  # s, standard error of a lag up to which it is applied
 LONGEST_RECORD = 120.0
 LEAST_SAMPLES = 20  # of a source within them, as of a table
 SIGMAS = 3.0  # standard errors from which a lag differs from zero
-# s; roll and pitch show rotor speeds up to this much early or late, through inflow and damping (see telemetry)
+# s; roll and pitch show rotor speeds up to this much late, through the inflow (see telemetry)
 ROTOR_LAG_BIAS = 0.01
 
 
@@ -123,7 +123,7 @@ def correct_source_lags(
         r, clock, relation = min(found, key=lambda f: f[1].lag_std)
         least = SIGMAS * clock.lag_std
         if relation == BY_ROTOR_SPEEDS:
-            # whoever stamped the rows: what inflow and damping make of them is no lag. Yaw gives a smaller one later
+            # whoever stamped the rows: what the inflow makes of them is no lag. Yaw gives a smaller one later
             least += ROTOR_LAG_BIAS
         if abs(clock.lag) <= least:
             continue
@@ -201,7 +201,7 @@ def _motion_lag(r: TableSource, main: TableSource) -> tuple[ClockFit | None, str
 
 
 def _by_yaw(r: TableSource, main: TableSource, clock: ClockFit) -> ClockFit:
-    """A lag by roll and pitch without what inflow and damping make of it, where yaw shows the rest."""
+    """A lag by roll and pitch without what the inflow makes of it, where yaw shows the rest."""
     span = _liveliest(main)
     r, main = _within(r, span), _within(main, span)
     rotors = [n for n in r.values if n[0] == "w" and n[1:].isdigit()]

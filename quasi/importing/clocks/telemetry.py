@@ -1,12 +1,13 @@
 """How old the telemetry of one on-board source is against another's: both saw one motion, each stamps it its own way.
 
 Between sources with clocks of their own, tens of milliseconds are at stake, and two rough relations that hold whatever
-the airframe give them: roll and pitch acceleration are a mix of the squared rotor speeds; and the derivative of an
-estimated velocity is the measured acceleration in world axes. Rates of change of the rotor speeds stay out of that mix:
-with them any delay could be explained away.
+the airframe give them: roll and pitch acceleration are a mix of the squared rotor speeds and of roll and pitch rate,
+which damp; and the derivative of an estimated velocity is the measured acceleration in world axes. Rates of change of
+the rotor speeds stay out of that mix: with them any delay could be explained away. Without the damping, speeds look
+late by damping over the square of the motion's frequency: 15 to 40 ms for slow turns of a large vehicle.
 
 The age of the rotor telemetry within one log is a few milliseconds, and there roll and pitch deceive: thrust leads the
-rotor speed while the inflow builds up, and damping leads the rates, by as much. Yaw does not. Its acceleration is made
+rotor speed while the inflow builds up, by as much. Yaw does not. Its acceleration is made
 of the rotors' aerodynamic torque and the reaction to their own acceleration, nothing faster, and the strong reaction
 makes the timing sharp: a delay would need the rotors' second derivative, which is not in the mix.
 """
@@ -164,7 +165,7 @@ def rotor_lag(t_rotor: np.ndarray, speeds: np.ndarray, t_motion: np.ndarray, rat
     if moving is None or squares is None:
         return None
     first = Uniform(moving.start, moving.step, np.gradient(moving.values, moving.step, axis=0), moving.good)
-    return best_fit([Pair("roll and pitch acceleration", first, squares)])
+    return best_fit([Pair("roll and pitch acceleration", first, squares, moving.values)])
 
 
 def acceleration_lag(
