@@ -33,9 +33,14 @@ def contradictions(prepared: Mapping[str, tuple], airframe: Airframe, thrust: fl
             f"the faster the rotors turn, the less they lift (thrust factor {thrust:.2g} N s2/rad2): check the sign "
             "and axes of the accelerometer, and the rotor speeds"
         ]
-    return contradicting_places(
-        {axis: _slopes(prepared, airframe, axis) for axis in OTHER_MOMENT_TERMS}, airframe, thrust
-    )
+    slopes: dict[str, tuple[np.ndarray, np.ndarray] | None] = {}
+    for axis in OTHER_MOMENT_TERMS:
+        try:
+            slope, covariance, _ = rotor_slopes(prepared, airframe, axis)
+            slopes[axis] = slope, np.sqrt(np.diag(covariance))
+        except DataError:  # others say so
+            slopes[axis] = None
+    return contradicting_places(slopes, airframe, thrust)
 
 
 def contradicting_places(
@@ -108,11 +113,17 @@ def _scaled(seen: np.ndarray, std: np.ndarray, hubs: np.ndarray, arm: float) -> 
     )
 
 
-def _slopes(prepared: Mapping[str, tuple], airframe: Airframe, axis: str) -> tuple[np.ndarray, np.ndarray] | None:
-    """Slope of a moment by each rotor's squared speed (4,) with standard errors; None where these flights give none."""
+def rotor_slopes(
+    prepared: Mapping[str, tuple], airframe: Airframe, axis: str, power: int = 2
+) -> tuple[np.ndarray, np.ndarray, list[str]]:
+    """Slope of a moment by each rotor's speed to a power (4,), its covariance (4, 4), and what else was in the fit.
+
+    prepared  {flight: (rows, values by column, mass)} of training rows
+    Raises DataError where the flights give none: too few rows, a rotor that stands still.
+    """
     accelerating = all("w1_dot" in values for _, values, _ in prepared.values())
     others = [e for e in OTHER_MOMENT_TERMS[axis] if accelerating or not e.endswith("_dot")]
-    program = Program([parse(e) for e in (*(f"w{i}^2" for i in range(1, 5)), *others)])
+    program = Program([parse(e) for e in (*(f"w{i}^{power}" for i in range(1, 5)), *others)])
     columns, target, series = [], [], []
     for rows, values, _ in prepared.values():
         variables = Variables(values, airframe, None)
@@ -121,11 +132,8 @@ def _slopes(prepared: Mapping[str, tuple], airframe: Airframe, axis: str) -> tup
         series.append(rows)
     stacked = np.concatenate(columns)
     used = [k for k in range(stacked.shape[1]) if k < 4 or stacked[:, k].any()]
-    try:
-        fit = fit_with_offsets(stacked[:, used], np.concatenate(target), series)
-    except DataError:  # too few rows, a rotor that stands still: others say so
-        return None
-    return fit.coefficients[:4], np.sqrt(np.diag(fit.covariance)[:4])
+    fit = fit_with_offsets(stacked[:, used], np.concatenate(target), series)
+    return fit.coefficients[:4], fit.covariance[:4, :4], [others[k - 4] for k in used[4:]]
 
 
 def _side(x: float, y: float) -> str:

@@ -13,8 +13,7 @@ from quasi.airframe import Airframe
 from quasi.attitude import GRAVITY
 from quasi.errors import DataError
 from quasi.identification.actuators import actuators
-from quasi.identification.geometry import OTHER_MOMENT_TERMS, contradicting_places, contradictions
-from quasi.identification.offsets import fit_with_offsets
+from quasi.identification.geometry import contradicting_places, contradictions, rotor_slopes
 from quasi.identification.partition import TRAINING
 from quasi.identification.regression import least_squares
 from quasi.identification.rotor_speeds import actuators_of, command_kind, factors_of, places_of
@@ -24,6 +23,7 @@ from quasi.terms.variables import Variables
 
 UPRIGHT = 0.99  # share of gravity along body z from which a sample counts as hover
 LEAST_HOVER = 50  # samples
+MOMENTS = ("Mx", "My", "Mz")
 USE_UNUSABLE = "use unusable flights"  # key of a model's configuration
 NEEDED_COLUMNS = ("w1", "w2", "w3", "w4", "Fz", "Mx", "My", "Mz", "roll", "pitch", "u", "v", "w", "p", "q", "r")
 OPTIONAL_COLUMNS = ("w1_dot", "w2_dot", "w3_dot", "w4_dot", "u_air", "v_air", "w_air")
@@ -180,18 +180,9 @@ def hover_speed(values: Mapping[str, np.ndarray], mass: float) -> float | None:
     return float(np.sqrt(mass * GRAVITY / (4 * factor))) if factor > 0 else None
 
 
-# factor: (regressor, target, unit); each is fitted together with what else acts on its axis, thrust through the origin
-_FACTORS = {
-    "kappaFz": ("4*w_avg^2", "thrust", "N s2/rad2"),
-    "kappaMx": ("U_p", "Mx", "N m s2/rad2"),
-    "kappaMy": ("U_q", "My", "N m s2/rad2"),
-    "kappaMz": ("U_r", "Mz", "N m s2/rad2"),
-    "kappaFz_w": ("w_tot", "thrust", "N s/rad"),
-    "kappaMx_w": ("u_p", "Mx", "N m s/rad"),
-    "kappaMy_w": ("u_q", "My", "N m s/rad"),
-    "kappaMz_w": ("u_r", "Mz", "N m s/rad"),
-}
-_OTHER_TERMS = {"thrust": ("w_tot*w", "u^2 + v^2"), **OTHER_MOMENT_TERMS}
+# factor: (axis, power of the rotor speeds); each is fitted together with what else acts on its axis
+_FACTORS = {f"kappa{axis}{end}": (axis, power) for end, power in (("", 2), ("_w", 1)) for axis in ("Fz", *MOMENTS)}
+_OTHER_FORCES = ("w_tot*w", "u^2 + v^2")
 
 
 def _simple(prepared: Mapping[str, tuple], airframe: Airframe) -> dict[str, Any]:
@@ -199,24 +190,34 @@ def _simple(prepared: Mapping[str, tuple], airframe: Airframe) -> dict[str, Any]
 
     Climb, airspeed, flapping, damping and the rotors' acceleration go together with the commands in flight; left out
     of the fit, they would pass for thrust and torque. So would the moment of a displaced cg, by which flights may
-    differ. Their own coefficients are not kept.
+    differ. Rotors that differ, and a cg that is not between them, give a change of thrust or yaw a moment about roll
+    and pitch, which the controller balances by other rotor speeds; a fit to differences of speeds alone would see these
+    without the moment. So a moment has a slope by each rotor, and its factor is that of their pattern. Coefficients of
+    what else was fitted are not kept.
     """
-    lookups = [Variables(values, airframe, None) for _, values, _ in prepared.values()]
-    series = [rows for rows, _, _ in prepared.values()]
-    thrust = np.concatenate([-values["Fz"] for _, values, _ in prepared.values()])
-    moments = {m: np.concatenate([values[m] for _, values, _ in prepared.values()]) for m in ("Mx", "My", "Mz")}
-    accelerating = all("w1_dot" in values for _, values, _ in prepared.values())
     result = {}
-    for name, (regressor, target, unit) in _FACTORS.items():
-        texts = [regressor, *(e for e in _OTHER_TERMS[target] if accelerating or not e.endswith("_dot"))]
-        program = Program([parse(e) for e in texts])
-        columns = np.hstack([program.run(v.__getitem__, len(rows)) for v, rows in zip(lookups, series)]).T
-        used = [0, *(k for k in range(1, len(texts)) if columns[:, k].any())]
-        if target == "thrust":  # a constant force cannot be distinguished from the thrust of hover
-            fit = least_squares(columns[:, used], thrust, series)
+    patterns = dict(zip(MOMENTS, (airframe.left, airframe.front, airframe.spin)))
+    for name, (axis, power) in _FACTORS.items():
+        if axis == "Fz":
+            value, std, others = _thrust(prepared, airframe, power)
         else:
-            fit = fit_with_offsets(columns[:, used], moments[target], series)
-        std = float(np.sqrt(fit.covariance[0, 0]))
-        others = [texts[k] for k in used[1:]]
-        result[name] = {"value": float(fit.coefficients[0]), "std": std, "unit": unit, "fitted together with": others}
+            slopes, covariance, others = rotor_slopes(prepared, airframe, axis, power)
+            share = np.asarray(patterns[axis], float) / 4.0
+            value, std = float(share @ slopes), float(np.sqrt(share @ covariance @ share))
+        unit = ("N" if axis == "Fz" else "N m") + (" s2/rad2" if power == 2 else " s/rad")
+        result[name] = {"value": value, "std": std, "unit": unit, "fitted together with": others}
     return result
+
+
+def _thrust(prepared: Mapping[str, tuple], airframe: Airframe, power: int) -> tuple[float, float, list[str]]:
+    """Slope of the thrust, through the origin, by the sum of all speeds to a power, with its standard error and what
+    else was in the fit: a constant force cannot be distinguished from the thrust of hover."""
+    texts = ["4*w_avg^2" if power == 2 else "w_tot", *_OTHER_FORCES]
+    program = Program([parse(e) for e in texts])
+    columns = np.hstack([
+        program.run(Variables(values, airframe, None).__getitem__, len(rows)) for rows, values, _ in prepared.values()
+    ]).T  # fmt: skip
+    used = [0, *(k for k in range(1, len(texts)) if columns[:, k].any())]
+    thrust = np.concatenate([-values["Fz"] for _, values, _ in prepared.values()])
+    fit = least_squares(columns[:, used], thrust, [rows for rows, _, _ in prepared.values()])
+    return float(fit.coefficients[0]), float(np.sqrt(fit.covariance[0, 0])), [texts[k] for k in used[1:]]

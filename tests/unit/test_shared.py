@@ -84,3 +84,20 @@ def test_flights_without_rotor_speeds_are_refused_by_name(flights):
         DataError, match=r"flight a: the log holds no rotor speeds \(w1, w2, w3, w4\).*leave this flight"
     ):
         refuse_speedless({**flights, "a": flights["a"].drop(columns=names)})
+
+
+def test_rotors_that_differ_leave_the_torque_factors_of_a_balanced_flight():
+    """Thrust and yaw turn an airframe with a weak rotor and a displaced cg; the controller balances them at once."""
+    rng, made = np.random.default_rng(4), flight(6, rows=6000)
+    smooth = np.cumsum(rng.normal(size=(6000, 4)), axis=0)
+    total, yaw, pitch, moment = ((smooth - smooth.mean(axis=0)) / smooth.std(axis=0)).T
+    slopes = -THRUST * (AIRFRAME.hubs[:, 1] + 0.01) * np.array([1.0, 0.9, 1.0, 1.0])
+    square = HOVER**2 * (1.0 + 0.1 * total[:, None] + 0.1 * yaw[:, None] * AIRFRAME.spin)
+    square = square + HOVER**2 * 0.05 * pitch[:, None] * AIRFRAME.front
+    wanted = 0.01 * THRUST * HOVER**2 * AIRFRAME.arm * moment
+    square = square + ((wanted - square @ slopes) / (slopes @ AIRFRAME.left))[:, None] * AIRFRAME.left
+    balanced = made.assign(**{f"w{i + 1}": np.sqrt(square[:, i]) for i in range(4)})
+    balanced["Mx"] = wanted + rng.normal(scale=0.2 * wanted.std(), size=6000)
+    found = shared({"a": balanced}, {"a": np.ones(6000, int)}, AIRFRAME)["simple model"]["kappaMx"]
+    assert found["value"] == pytest.approx(slopes @ AIRFRAME.left / 4.0, rel=0.02)
+    assert found["std"] < 0.02 * found["value"]
