@@ -287,6 +287,22 @@ def test_what_rotors_do_is_told_by_their_true_speeds_where_the_logged_ones_are_w
     assert (left[:2] < 1.3 * noise[:2]).all()
 
 
+def test_several_angles_at_once_are_no_leaning_rotor(ground):  # noqa: F811
+    """Wind that the model's terms do not quite follow looked like two rotors that lean against each other."""
+    model = Model(ground[1].document, "test")
+    vehicle, effects = vehicle_of(model), {n: catalogue()[n] for n in ("rotor_tilt", "mass")}
+
+    def made(k, affected):
+        plain = flight(ground, k)
+        lean = {"rotor1": 0.04, "rotor2": -0.03, "rotor3": 0.03}
+        turned = plain.measured + whole_of(effects["rotor_tilt"], plain, vehicle, lean)
+        return dataclasses.replace(plain, measured=turned) if affected else plain
+
+    flights, compared = [made(k, k >= 4) for k in range(8)], [k >= 4 for k in range(8)]
+    found = examine(flights, compared, [made(90, True)], model, effects, vehicle, 0.01, 0.05, "more", "test")
+    assert [c.value for c in (*found.causes, *found.stand_ins) if len(c.value) > 1] == []
+
+
 def test_a_cause_that_is_contradicted_leaves_no_twin_named_alone(ground, monkeypatch):  # noqa: F811
     """Stronger rotors, or speeds logged too low: what speaks against the one alone is what the model makes of it."""
     model = Model(ground[1].document, "test")

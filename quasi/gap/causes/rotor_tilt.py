@@ -29,4 +29,5 @@ EFFECT = Effect(
     tie_breaker="steps of throttle",
     terms=_terms,
     absent_when_healthy=True,
+    parts="one",  # one arm bends; several angles at once are most often the form of something else, such as wind
 )
