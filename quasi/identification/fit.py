@@ -11,7 +11,7 @@ from quasi.airframe import Airframe
 from quasi.errors import DataError, ExpressionError, nearest
 from quasi.identification.candidates import BIAS, Specification, Term
 from quasi.identification.evidence import Totals, interchangeable
-from quasi.identification.offsets import LessOffsets, less_means, shares_of_pool
+from quasi.identification.offsets import OFFSET_ROUNDS, LessOffsets, less_means, offsets_of, shape_of, shares_of_pool
 from quasi.identification.partition import TRAINING
 from quasi.identification.products import Pool, Products
 from quasi.identification.redundancy import drop_redundant
@@ -28,8 +28,7 @@ from quasi.terms.variables import Variables, base_columns, derive_unit
 AXIS_UNITS = {**dict.fromkeys(("Fx", "Fy", "Fz"), "N"), **dict.fromkeys(("Mx", "My", "Mz"), "N m")}
 ROTORS = ("w1", "w2", "w3", "w4")
 NEAR_KEPT = 128  # candidates that came near being chosen, among which flights are left out and data resampled
-OFFSET_ROUNDS = 3  # of choosing terms and of estimating how much flights differ by a constant
-SAME_SHARE = 0.02  # of a flight's means: a change that chooses no other terms
+SAME_SHARE = 0.02  # of a flight's means, and of the largest offset: a change that chooses no other terms
 CONSTANT = Term(BIAS, ("number", 1.0))
 
 
@@ -67,7 +66,7 @@ def fit_axis(
     # the written names too: a column that is missing is reported for the variable that the file names
     every = [t.tree for t in (*specification.fixed, *specification.candidates)]
     wanted = list(dict.fromkeys(n for tree in (*every, *evaluated.values()) for n in names(tree)))
-    blocks, targets, series, dropped, scales = _training_rows(
+    blocks, targets, shapes, series, dropped, scales = _training_rows(
         axis, flights, partition, airframe, hover, wanted, normalisation
     )
     raw = np.concatenate(targets)
@@ -85,9 +84,10 @@ def fit_axis(
 
     rows = list(series.values())
     fixed = len(first) + len(free)
-    pool = Pool(trees, fixed, blocks, targets, rows, specification.bias)
+    pool = Pool(trees, fixed, blocks, targets, rows, specification.bias, shapes)
     options = options_of(config, len(specification.candidates))
-    selection, near, held_out, share, products = choose(pool, options, config, described, total, rows)
+    selection, near, held_out, share, offsets, products = choose(pool, options, config, described, total, rows)
+    pool = pool.less_bends(offsets)
     chosen = [*range(fixed), *selection.chosen]
     log = [{**e, "bias": b} for e, b in zip(selection.log, biases(selection.log, pool, described))]
     if not chosen:
@@ -96,7 +96,7 @@ def fit_axis(
     program = Program([trees[k] for k in chosen])
     columns = np.vstack([program.run(block, len(z)).T for block, z in zip(blocks, targets)])
     sizes = [len(z) for z in targets]
-    fit = least_squares(*(less_means(v, sizes, share) for v in (columns, np.concatenate(targets))), rows)
+    fit = least_squares(*(less_means(v, sizes, share) for v in (columns, np.concatenate(pool.targets))), rows)
     left = np.concatenate(targets) - columns @ fit.coefficients
     estimated = [described[k] for k in chosen]
     entries = _terms(axis, specification, terms, chosen, fixed, fit)
@@ -133,6 +133,7 @@ def fit_axis(
         "unusable": {described[k]: why for k, why in pool.unusable.items()},
         "flights": {key: len(z) for key, z in zip(series, targets)},
         "share of flight means taken off": dict(zip(series, share.tolist())),
+        "offsets of flights": dict(zip(series, offsets.tolist())),
         "dropped rows": dropped,
         "notes": repeated
         + _notes(axis, dropped, pool, described)
@@ -169,33 +170,38 @@ def options_of(config: Mapping[str, Any], candidates: int) -> Options:
 
 class Choice(NamedTuple):
     """What `choose` found: the selection, the columns that came near, the result of leaving flights out or None, and
-    the share (F,) of each flight's means that is taken off, with the products that this leaves."""
+    the share (F,) of each flight's means that is taken off, the flights' offsets (F,), with the products that these
+    leave."""
 
     selection: Selection
     near: list[int]
     held_out: dict[str, Any] | None
     share: np.ndarray
+    offsets: np.ndarray
     products: Products
 
 
 def choose(
     pool: Pool, options: Options, config: Mapping[str, Any], names: list[str], total: float, series: list[np.ndarray]
 ) -> Choice:
-    """Select the terms, and with them how much flights differ by a constant; the manual's test knows none."""
-    share = np.zeros(len(series))
-    products: Products = pool
+    """Select the terms, and with them how much flights differ by an offset; the manual's test knows none."""
+    share, offsets, sizes = np.zeros(len(series)), np.zeros(len(series)), [len(rows) for rows in series]
+    bare, products = pool, pool
     for _ in range(OFFSET_ROUNDS):
         selection, near, held_out = _choose(pool, products, share, options, config, names, total, series)
         columns = [*range(pool.fixed), *selection.chosen]
         if not (pool.constant and options.test == "significance"):
             break
         left = pool.residuals(columns, products.coefficients(columns))
-        before, share = share, shares_of_pool(pool, columns, left, series)
+        before, share = (share, offsets), shares_of_pool(pool, columns, left, series)
+        offsets = offsets_of(left, share, sizes)
+        pool = bare.less_bends(offsets)
         products = LessOffsets(pool, share) if share.any() else pool
-        if np.allclose(share, before, atol=SAME_SHARE):
+        change = np.abs(offsets - before[1]).max() if pool.bends else 0.0
+        if np.allclose(share, before[0], atol=SAME_SHARE) and change <= SAME_SHARE * np.abs(offsets).max():
             break
         total = float(products.target_square.sum() - products.target[:, 0].sum() ** 2 / products.square[:, 0].sum())
-    return Choice(selection, near, held_out, share, products)
+    return Choice(selection, near, held_out, share, offsets, products)
 
 
 def _choose(
@@ -273,9 +279,9 @@ def _add_rivals(entries: list[dict[str, Any]], alike: dict[int, list[dict]], nam
 
 def _training_rows(
     axis, flights, partition, airframe, hover, wanted, normalisation
-) -> tuple[list, list, dict, dict, np.ndarray | None]:
+) -> tuple[list, list, list, dict, dict, np.ndarray | None]:
     needed = sorted(set().union(*(base_columns(n, normalisation) for n in wanted), ROTORS if normalisation else ()))
-    blocks, targets, series, dropped, scales = [], [], {}, {}, []
+    blocks, targets, shapes, series, dropped, scales = [], [], [], {}, {}, []
     for key, flight in flights.items():
         rows = np.flatnonzero(partition[key] == TRAINING)
         if not len(rows):
@@ -298,6 +304,7 @@ def _training_rows(
             dropped[key] = int(np.count_nonzero(~good))
         blocks.append({name: np.ascontiguousarray(v[good]) for name, v in values.items()})
         targets.append((columns[axis] / scale)[good])
+        shapes.append(shape_of(axis, columns, np.flatnonzero(good), scale))
         if normalisation:
             scales.append(scale[good])
         series[key] = rows[good]
@@ -306,7 +313,7 @@ def _training_rows(
             f"{axis}: no training rows are left in the flights {', '.join(map(str, flights))} "
             f"({sum(dropped.values())} lost to missing values); check the columns that the specification names"
         )
-    return blocks, targets, series, dropped, np.concatenate(scales) if scales else None
+    return blocks, targets, shapes, series, dropped, np.concatenate(scales) if scales else None
 
 
 def _evaluated(term: Term, airframe: Airframe, normalisation: Normalisation | None) -> Tree:

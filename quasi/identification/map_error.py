@@ -12,7 +12,7 @@ import numpy as np
 import pandas as pd
 
 from quasi.airframe import Airframe
-from quasi.identification.offsets import less_means
+from quasi.identification.offsets import OFFSET_ROUNDS, less_means, offsets_of, shape_of
 from quasi.identification.partition import TRAINING
 from quasi.identification.regression import ends_within
 from quasi.terms.expressions import Program, parse
@@ -65,10 +65,10 @@ def add_map_error(
     given = np.array([bool(t.get("given")) for t in result["terms"]])
     known = np.array([t["coefficient"] for t in result["terms"]])[given]
     program = Program(trees)
-    shares = result["share of flight means taken off"]
+    shares, offsets = result["share of flight means taken off"], result["offsets of flights"]
 
     def coefficients(drive: Mapping[str, Any]) -> np.ndarray:
-        both = []
+        tables, bends, part_of, own = [], [], [], []
         for key, flight in speeds(drive).items():
             rows = roles[key] == TRAINING
             if not rows.any():
@@ -76,12 +76,21 @@ def add_map_error(
             part = flight[rows]
             values = {c: part[c].to_numpy(float) for c in part}
             a = program.run(Variables(values, airframe, hover, scheme).__getitem__, len(part)).T
-            z = values[axis] / scheme.scale_of(axis, values) if scheme else values[axis]
-            table = np.column_stack([a[:, ~given], z - a[:, given] @ known])
-            table = table[np.isfinite(table).all(axis=1)]  # as in the fit: induced velocity lacks in a descent
-            both.append(less_means(table, [len(table)], [shares[key]]))
-        table = np.concatenate(both)
-        return np.linalg.lstsq(table[:, :-1], table[:, -1], rcond=None)[0]
+            scale = scheme.scale_of(axis, values) if scheme else 1.0
+            table = np.column_stack([a[:, ~given], values[axis] / scale - a[:, given] @ known])
+            good = np.isfinite(table).all(axis=1)  # as in the fit: induced velocity lacks in a descent
+            tables.append(table[good])
+            bends.append(shape_of(axis, values, np.flatnonzero(good), scale) - 1.0)
+            part_of.append(shares[key])
+            own.append(offsets[key])
+        sizes, plain = [len(t) for t in tables], np.concatenate(tables)
+        for _ in range(OFFSET_ROUNDS):  # with the map, what flights differ by changes too
+            table = plain.copy()
+            table[:, -1] -= np.concatenate([u * bend for u, bend in zip(own, bends)])
+            table = less_means(table, sizes, part_of)
+            theta = np.linalg.lstsq(table[:, :-1], table[:, -1], rcond=None)[0]
+            own = offsets_of(plain[:, -1] - plain[:, :-1] @ theta, np.array(part_of), sizes)
+        return theta
 
     ends = moved_drives(drive)
     slopes = [(coefficients(up) - coefficients(down)) / apart if apart else np.zeros(sum(~given))

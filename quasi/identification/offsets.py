@@ -11,11 +11,14 @@ this model is least squares after the share 1 - sqrt(1 - psi_f) of a flight's me
 tau2 = 0 that is one intercept; with a large tau2 only what varies within flights counts, and in between flights at
 constant speeds keep what they show between them.
 
+The moment of a displaced cg follows the thrust, and so does that of a weaker rotor. What thrust changes of a flight's
+own offset would be left to whatever moves with thrust, such as climb: it is taken off the target (`shape_of`).
+
 Source: Fuller & Battese, Journal of the American Statistical Association 68, 1973 (the share of the means); Patterson
 & Thompson, Biometrika 58, 1971 (tau2 by restricted likelihood).
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from itertools import pairwise
 
 import numpy as np
@@ -23,9 +26,35 @@ from scipy.optimize import minimize_scalar
 
 from quasi.identification.products import Pool, Products
 from quasi.identification.regression import Fit, flat_top, least_squares, memory_window
+from quasi.terms.rotor_map import SPEEDS
 
 TARGET_ROUNDING = 1e-12  # of the target's squares, that a difference of products is known to: less of an error is none
 RATIOS = (1e-6, 1e6)  # of tau2 to the variance of a flight's mean: from none to all
+
+
+MOMENTS = ("Mx", "My", "Mz")
+OFFSET_ROUNDS = 3  # of choosing or fitting terms and of estimating by which offsets flights differ
+
+
+def shape_of(axis: str, columns: Mapping[str, np.ndarray], rows: np.ndarray, scale: np.ndarray | float) -> np.ndarray:
+    """Shape (n,), of mean 1, of what one flight differs by from others in some of its rows (n,): of a moment the
+    thrust, by the squared rotor speeds "w1".."w4" of the columns, of a force a constant.
+
+    scale  that the axis is divided by, for each row of the columns or for all
+    """
+    if axis not in MOMENTS or not all(w in columns for w in SPEEDS):
+        return np.ones(len(rows))
+    thrust = (sum(np.asarray(columns[w], float) ** 2 for w in SPEEDS) / scale)[rows]
+    known = np.isfinite(thrust)
+    if not thrust[known].any():
+        return np.ones(len(rows))
+    return np.where(known, thrust / thrust[known].mean(), 1.0)
+
+
+def offsets_of(residuals: np.ndarray, share: np.ndarray, sizes: Sequence[int]) -> np.ndarray:
+    """Likeliest offset (F,) of each flight: its mean residual, less what chance makes of one."""
+    parts = np.split(residuals, np.cumsum(sizes)[:-1])
+    return np.array([(1.0 - (1.0 - s) ** 2) * p.mean() if len(p) else 0.0 for p, s in zip(parts, share)])
 
 
 class LessOffsets(Products):

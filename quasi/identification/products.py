@@ -8,8 +8,10 @@ the residuals' memory takes from the evidence.
 """
 
 from collections.abc import Iterator, Sequence
+from copy import copy
 from dataclasses import dataclass, field
 from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 
@@ -69,6 +71,16 @@ class Products:
         )  # fmt: skip
 
 
+class Bend(NamedTuple):
+    """Products per cell of what an offset of 1 does beyond a constant: with columns (B, m), itself (B,), the target
+    (B,); and its sum (B,)."""
+
+    columns: np.ndarray
+    square: np.ndarray
+    target: np.ndarray
+    total: np.ndarray
+
+
 class Pool(Products):
     """Products of columns given by expressions.
 
@@ -78,6 +90,7 @@ class Pool(Products):
     series    row numbers (n_f,) per flight in its time order, increasing; consecutive when None
     constant  whether a constant is in the model: then the other columns are kept about (nearly) their means, which
               changes nothing but the digits, and the constant's coefficient
+    shapes    (n_f,) per flight, of mean 1: how an offset of the flight acts; constant when None
     unusable  {column: why} after construction; such columns hold zeros
     length    rows that a cell spans, missing ones counted
     """
@@ -90,8 +103,10 @@ class Pool(Products):
         targets: Sequence[np.ndarray],
         series: Sequence[np.ndarray] | None = None,
         constant: bool = True,
+        shapes: Sequence[np.ndarray] | None = None,
     ) -> None:
-        self._trees, self._blocks, self._targets = list(trees), blocks, targets
+        self._trees, self._blocks, self.targets = list(trees), blocks, list(targets)
+        self.shapes = [np.ones(len(z)) for z in targets] if shapes is None else shapes
         self._program = Program(trees)
         series = series or [np.arange(len(z)) for z in targets]
         self._cells, flight = _cells(series, len(trees))
@@ -113,12 +128,13 @@ class Pool(Products):
         self.unusable = self._unusable()
         self._blank(self.square)
         self._blank(self.target)
+        self._blank(self._bend.columns)
         for products in self.crossed.values():
             self._blank(products)
 
-    def _chunks(self, program: Program) -> Iterator[tuple[np.ndarray, np.ndarray, list[tuple[int, slice]]]]:
+    def _chunks(self, program: Program) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray, list[tuple[int, slice]]]]:
         out = np.empty((program.size, self._chunk))
-        for block, z, cells in zip(self._blocks, self._targets, self._cells):
+        for block, z, shape, cells in zip(self._blocks, self.targets, self.shapes, self._cells):
             for start in range(0, len(z), self._chunk):
                 rows = slice(start, min(start + self._chunk, len(z)))
                 n = rows.stop - rows.start
@@ -127,7 +143,7 @@ class Pool(Products):
                 bounds = np.flatnonzero(np.diff(cells[rows])) + 1
                 edges = [0, *bounds.tolist(), n]
                 parts = [(int(cells[start + i]), slice(i, j)) for i, j in pairwise(edges)]
-                yield program.run(chunk, n, into), z[rows] - self.target_shift, parts
+                yield program.run(chunk, n, into), z[rows] - self.target_shift, shape[rows] - 1.0, parts
 
     def _shifts(self) -> tuple[np.ndarray, float]:
         # means over a few thousand rows from everywhere: near enough for all the digits
@@ -135,11 +151,11 @@ class Pool(Products):
         shift = np.zeros(self.size)
         if not self.constant:
             return shift, 0.0
-        rows = sum(map(len, self._targets))
+        rows = sum(map(len, self.targets))
         step = max(rows // CHUNK, 1)
         sums, count, target = np.zeros(self.size), 0, 0.0
         with np.errstate(all="ignore"):
-            for block, z in zip(self._blocks, self._targets):
+            for block, z in zip(self._blocks, self.targets):
                 some = {name: block[name][::step] for name in self._program.names}
                 n = len(z[::step])
                 sums += self._program.run(some, n).sum(axis=1)
@@ -151,19 +167,22 @@ class Pool(Products):
 
     def _first_pass(self) -> None:
         fixed = self.fixed
-        products = np.zeros((len(self.rows), fixed + 1, self.size))
+        products = np.zeros((len(self.rows), fixed + 2, self.size))
+        bend = np.zeros((3, len(self.rows)))
         shift = self.shift[:, None]
         with np.errstate(all="ignore"):
-            for x, z, parts in self._chunks(self._program):
+            for x, z, more, parts in self._chunks(self._program):
                 x -= shift
-                y = np.vstack([x[:fixed], z])
+                y = np.vstack([x[:fixed], z, more])
                 for cell, rows in parts:
                     part = x[:, rows]
                     products[cell] += y[:, rows] @ part.T
                     self.square[cell] += np.einsum("ij,ij->i", part, part)
                     self.target_square[cell] += float(z[rows] @ z[rows])
                     self.target_sum[cell] += float(z[rows].sum())
+                    bend[:, cell] += more[rows] @ more[rows], more[rows] @ z[rows], more[rows].sum()
         self.target = products[:, fixed]
+        self._bend = Bend(products[:, fixed + 1], *bend)
         for k in range(fixed):
             self.crossed[k] = np.ascontiguousarray(products[:, k])
 
@@ -203,7 +222,7 @@ class Pool(Products):
         sums = np.zeros((len(wanted), len(self.rows)))
         shift = self.shift[wanted][:, None]
         with np.errstate(all="ignore"):
-            for x, _, parts in self._chunks(self._program):
+            for x, _, _, parts in self._chunks(self._program):
                 y = x[wanted] - shift
                 for cell, rows in parts:
                     result[:, cell] += y[:, rows] @ x[:, rows].T
@@ -220,7 +239,21 @@ class Pool(Products):
         columns = list(columns)
         shift = self.shift[columns][:, None]
         program = Program([self._trees[k] for k in columns])
-        return np.concatenate([z - theta @ (x - shift) for x, z, _ in self._chunks(program)])
+        return np.concatenate([z - theta @ (x - shift) for x, z, *_ in self._chunks(program)])
+
+    @property
+    def bends(self) -> bool:
+        """Whether an offset of a flight is more than a constant."""
+        return bool(self._bend.square.any())
+
+    def less_bends(self, offsets: np.ndarray) -> "Pool":
+        """The pool without what offsets of the flights (F,) do beyond a constant."""
+        part, size, bend = copy(self), np.asarray(offsets)[self.flight], self._bend
+        part.targets = [z - u * (shape - 1.0) for z, u, shape in zip(self.targets, offsets, self.shapes)]
+        part.target = self.target - size[:, None] * bend.columns
+        part.target_square = self.target_square - 2.0 * size * bend.target + size**2 * bend.square
+        part.target_sum = self.target_sum - size * bend.total
+        return part
 
     def subset(self, columns: Sequence[int]) -> Products:
         """All products among some of the columns, the fixed ones first; one pass over these alone."""

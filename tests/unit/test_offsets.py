@@ -127,7 +127,8 @@ def seated():
     for table, moment in zip(flights.values(), (0.03, -0.04, 0.015, 0.05, -0.03, -0.02)):
         speeds = table[["w1", "w2", "w3", "w4"]].to_numpy()
         side = np.sign(AIRFRAME.hubs[:, 0])
-        table[["w1", "w2", "w3", "w4"]] = np.sqrt(speeds**2 - side * moment / (4.0 * PITCH))
+        thrust = (speeds**2).sum(axis=1, keepdims=True)
+        table[["w1", "w2", "w3", "w4"]] = np.sqrt(speeds**2 - side * moment * thrust / thrust.mean() / (4.0 * PITCH))
     return flights
 
 

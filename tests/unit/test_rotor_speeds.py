@@ -302,7 +302,13 @@ def test_map_errors_enter_the_covariance_of_coefficients(found):
 
     target = -1e-7 * np.sum(speeds_of(drive, commands, volts, 0.01) ** 2, axis=1)
     term = {"expression": "w2_1 + w2_2 + w2_3 + w2_4", "coefficient": -1e-7, "std": 1e-12, "t": -1e5}
-    result = {"terms": [term], "covariance": [[1e-24]], "notes": [], "share of flight means taken off": {"a": 0.0}}
+    result = {
+        "terms": [term],
+        "covariance": [[1e-24]],
+        "notes": [],
+        "share of flight means taken off": {"a": 0.0},
+        "offsets of flights": {"a": 0.0},
+    }
     made = add_map_error(result, "Fz", drive, speeds, {"a": np.ones(2000, np.int8)}, to_draw(), None)
     assert made["covariance"][0][0] > 1e-24
     assert made["terms"][0]["std"] == pytest.approx(np.sqrt(made["covariance"][0][0]))

@@ -189,7 +189,12 @@ def error_of(drive, terms, lost=0):
     listed = [{"expression": e, "coefficient": -1e-7, "std": 1e-12, "t": -1e5} for e in terms]
     roles = {"a": np.ones(2000, np.int8)}
     covariance, shares = np.zeros((len(terms),) * 2).tolist(), dict.fromkeys(roles, 0.0)
-    result = {"terms": listed, "covariance": covariance, "share of flight means taken off": shares}
+    result = {
+        "terms": listed,
+        "covariance": covariance,
+        "share of flight means taken off": shares,
+        "offsets of flights": shares,
+    }
     return np.array(add_map_error(result, "Fz", drive, speeds, roles, to_draw(), None)["covariance"])
 
 
