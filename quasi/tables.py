@@ -2,7 +2,7 @@
 
 Writes are atomic: a temporary file in the folder of the target, fsync, then a rename.
 Every column of a flight carries its unit and its frame in the Parquet field metadata; the file metadata records how it
-was made.
+was made. pandas and pyarrow are imported where a table is touched: Snakemake's own process reads documents only.
 """
 
 import codecs
@@ -18,15 +18,15 @@ import zlib
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import pandas as pd
-import pyarrow as pa
-import pyarrow.parquet as pq
 
 from quasi.errors import ConfigError, DataError, ReadError, nearest, quoted
 from quasi.input_limits import MAX_DIGITS, MAX_FILE_BYTES, MAX_JSON_BYTES, MAX_UNPACKED_BYTES, check_lines, check_size
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 # name: (unit, frame, meaning). Columns outside this list name their own unit when written.
 COLUMNS: dict[str, tuple[str, str, str]] = {
@@ -95,9 +95,8 @@ _MADE = b"quasi"
 UNPACK_STEP = 1 << 20  # bytes that are unpacked at a time
 SHORTEN = "cut it into shorter recordings, or keep only what is used"
 ANY_PREFIX = "any of "  # before an axis: the row of a coverage table for all variables of the axis
-TELEMETRY_AGE_REMOVED = (
-    "telemetry age taken off"  # of a delay in a model; otherwise it may include the delay of logged rotor speeds
-)
+# of a delay in a model; otherwise it may include the delay of logged rotor speeds
+TELEMETRY_AGE_REMOVED = "telemetry age taken off"
 IDENTIFIED_MAP = "map identified on the flight"  # source of w1_CMD .. in the metadata of an import
 
 
@@ -130,7 +129,7 @@ def copy_file(source: str | Path, path: str | Path) -> None:
 
 def write_table(
     path: str | Path,
-    frame: pd.DataFrame,
+    frame: "pd.DataFrame",
     units: Mapping[str, tuple[str, str] | tuple[str, str, str]] | None = None,
     made: Mapping[str, Any] | None = None,
 ) -> None:
@@ -140,31 +139,37 @@ def write_table(
     made   how the table was made (plain data), stored in the file's metadata.
     Raises DataError for a column without a known unit.
     """
+    import pyarrow.parquet
+
     units = dict(units or {})
     fields, arrays = [], []
     for name in frame.columns:
         about = units.get(name, COLUMNS.get(name))
         if about is None:
             raise DataError(f"column '{name}' of {path} has no unit; name it in `units`")
-        array = pa.array(frame[name].to_numpy())
+        array = pyarrow.array(frame[name].to_numpy())
         about = {"unit": about[0], "frame": about[1], "meaning": about[2] if len(about) > 2 else ""}
-        fields.append(pa.field(name, array.type, metadata={k: v for k, v in about.items() if v}))
+        fields.append(pyarrow.field(name, array.type, metadata={k: v for k, v in about.items() if v}))
         arrays.append(array)
-    schema = pa.schema(fields, metadata={_MADE: _dumps(dict(made or {})).encode()})
+    schema = pyarrow.schema(fields, metadata={_MADE: _dumps(dict(made or {})).encode()})
     with replace_file(path) as part:
         # measured values hardly repeat: a dictionary makes writing four times as long and files a quarter larger; their
         # first bytes do, so bytes of one place stand together: reading takes half the time, files are a sixth smaller
-        measured = [field.name for field in fields if pa.types.is_floating(field.type)]
+        measured = [field.name for field in fields if pyarrow.types.is_floating(field.type)]
         repeating = [field.name for field in fields if field.name not in measured]
-        table = pa.Table.from_arrays(arrays, schema=schema)
-        pq.write_table(table, part, compression="zstd", use_dictionary=repeating, use_byte_stream_split=measured)
+        table = pyarrow.Table.from_arrays(arrays, schema=schema)
+        pyarrow.parquet.write_table(
+            table, part, compression="zstd", use_dictionary=repeating, use_byte_stream_split=measured
+        )
 
 
-def read_table(path: str | Path, columns: Sequence[str] | None = None) -> pd.DataFrame:
+def read_table(path: str | Path, columns: Sequence[str] | None = None) -> "pd.DataFrame":
     """Read a Parquet table; `columns` limits what is read. Raises ReadError or DataError naming file and column."""
+    import pyarrow.parquet
+
     path = Path(path)
     try:
-        with pq.ParquetFile(path) as source:
+        with pyarrow.parquet.ParquetFile(path) as source:
             names = source.schema_arrow.names
             missing = [c for c in columns or () if c not in names]
             if missing:
@@ -177,7 +182,7 @@ def read_table(path: str | Path, columns: Sequence[str] | None = None) -> pd.Dat
         raise ReadError(f"{path} does not exist; make it first, or correct the path") from None
     except (DataError, ReadError):
         raise
-    except (pa.ArrowException, OSError, ValueError, KeyError, TypeError, MemoryError) as error:
+    except (pyarrow.ArrowException, OSError, ValueError, KeyError, TypeError, MemoryError) as error:
         reason = " ".join(str(error).split())[:200]
         raise ReadError(
             f"{path} is not a readable Parquet file ({reason}); copy it anew, or, where a run made it, delete it and "
@@ -185,7 +190,7 @@ def read_table(path: str | Path, columns: Sequence[str] | None = None) -> pd.Dat
         ) from None
 
 
-def _check_unpacked_size(path: Path, source: pq.ParquetFile, columns: Sequence[str] | None) -> None:
+def _check_unpacked_size(path: Path, source: Any, columns: Sequence[str] | None) -> None:
     """Raise ReadError where the footer announces more than MAX_UNPACKED_BYTES for the columns that are read.
 
     A column of equal values has a few bytes in the file and 8 bytes per row in memory: the larger of both counts.
@@ -200,11 +205,13 @@ def _check_unpacked_size(path: Path, source: pq.ParquetFile, columns: Sequence[s
     check_size(path, size, MAX_UNPACKED_BYTES, "the unpacked table", SHORTEN)
 
 
-def read_numbers(path: str | Path) -> pd.DataFrame:
+def read_numbers(path: str | Path) -> "pd.DataFrame":
     """Read a table of numbers: Parquet, or CSV (comma or semicolon) whose first line names the columns.
 
     Raises ReadError or DataError.
     """
+    import pandas as pd
+
     path = Path(path)
     if path.suffix.lower() != ".csv":
         return read_table(path)
@@ -235,13 +242,17 @@ def read_numbers(path: str | Path) -> pd.DataFrame:
 
 def read_fields(path: str | Path) -> dict[str, dict[str, str]]:
     """Read {column: {"unit", "frame", "meaning"}} of the Parquet fields."""
-    schema = pq.read_schema(path)
+    import pyarrow.parquet
+
+    schema = pyarrow.parquet.read_schema(path)
     return {f.name: {k.decode(): v.decode() for k, v in (f.metadata or {}).items()} for f in schema}
 
 
 def read_made(path: str | Path) -> dict[str, Any]:
     """Read how a table was made, as given to `write_table`."""
-    return json.loads((pq.read_schema(path).metadata or {}).get(_MADE, b"{}"))
+    import pyarrow.parquet
+
+    return json.loads((pyarrow.parquet.read_schema(path).metadata or {}).get(_MADE, b"{}"))
 
 
 def list_recordings(flights: Mapping[str, Mapping[str, Any]]) -> dict[str, dict[str, str]]:
@@ -259,10 +270,7 @@ def list_recordings(flights: Mapping[str, Mapping[str, Any]]) -> dict[str, dict[
 
 
 def list_masses(flights: Mapping[str, Mapping[str, Any]]) -> dict[str, float]:
-    """List {flight: mass of its processing, kg}, of flights that record it.
-
-    flights  {key: how the filtered flight was made}
-    """
+    """List {flight: mass of its processing, kg} of {key: how the filtered flight was made}, where it is recorded."""
     return {key: float(made["mass"]) for key, made in flights.items() if made.get("mass")}
 
 
@@ -272,14 +280,10 @@ def list_telemetry_corrections(flights: Mapping[str, Mapping[str, Any]]) -> dict
     flights  {key: how the filtered flight was made}; flights of imports without this record are omitted
     """
     imported = {key: made.get("imported") or {} for key, made in flights.items()}
-    return {
-        key: bool((about["rotor telemetry"] or {}).get("applied"))
-        for key, about in imported.items()
-        if "rotor telemetry" in about
-    }
+    return {k: bool((a["rotor telemetry"] or {}).get("applied")) for k, a in imported.items() if "rotor telemetry" in a}
 
 
-def drop_identified_commands(table: pd.DataFrame, imported: Mapping[str, Any] | None) -> pd.DataFrame:
+def drop_identified_commands(table: "pd.DataFrame", imported: Mapping[str, Any] | None) -> "pd.DataFrame":
     """The flight without w1_CMD .. w4_CMD where import made them by a map identified on the flight itself.
 
     imported  metadata of the import. Such speeds are made from the flight's rotor speeds, so they cannot judge them.

@@ -139,12 +139,13 @@ def _warn(
     """Say which harmonics show up inside the band of the low-pass, where no notch was asked for."""
     inside = (found.frequency < (1.0 + 0.5 * forces.TRANSITION) * cutoff) & (found.weight > 0.5) & flying[:, None]
     often = inside.sum(axis=0) > SELDOM * max(int(flying.sum()), 1)
+    high = harmonics.high_pass(imu, found.lowest, found.rate) if often.any() else imu
     listed = []
     for order in np.unique(found.harmonic):
         seen = [
             int(i)
             for i in np.flatnonzero((found.harmonic == order) & often)
-            if harmonics.clearness(imu, found, int(i), inside[:, i]) > harmonics.CLEAR
+            if harmonics.clearness(high, found, int(i), inside[:, i]) > harmonics.CLEAR
         ]
         if seen:
             stands, true = (float(np.median(x[:, seen][inside[:, seen]])) for x in (found.frequency, found.true))

@@ -97,7 +97,7 @@ class FilterResult(NamedTuple):
     first: np.ndarray
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _forward(
     dt,
     gyro,

@@ -19,7 +19,7 @@ WIDTH = CHUNKS * LANES  # columns of a row, with those that fill up its last vec
 WORK_SHAPE = (5, 3, 3)  # scratch of the functions below: four matrices, and one innovation covariance
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def rotation_matrix(w, x, y, z, m):
     """Rotation matrix of a quaternion into m (3, 3)."""
     m[0, 0] = 1.0 - 2.0 * (y * y + z * z)
@@ -33,7 +33,7 @@ def rotation_matrix(w, x, y, z, m):
     m[2, 2] = 1.0 - 2.0 * (x * x + y * y)
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def rotation_exponential(x, y, z):
     """Quaternion of a rotation vector."""
     angle = np.sqrt(x * x + y * y + z * z)
@@ -41,7 +41,7 @@ def rotation_exponential(x, y, z):
     return np.cos(0.5 * angle), s * x, s * y, s * z
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def multiply_quaternions(q, step):
     """Product of two quaternions, of unit length."""
     w = q[0] * step[0] - q[1] * step[1] - q[2] * step[2] - q[3] * step[3]
@@ -52,7 +52,7 @@ def multiply_quaternions(q, step):
     return w * n, a * n, b * n, c * n
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def compose_rotation(q, x, y, z):
     """q becomes q exp(x, y, z), of unit length; returns the exponential."""
     step = rotation_exponential(x, y, z)
@@ -60,7 +60,7 @@ def compose_rotation(q, x, y, z):
     return step
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def predict(q, x, gyro, accel, k, dt, blocks, work):
     """Carry the nominal state (q, x) in place from sample k to the next; write the Jacobian's blocks.
 
@@ -125,7 +125,7 @@ def predict(q, x, gyro, accel, k, dt, blocks, work):
             blocks[4, i, j] = -half * (work[0, i, j] + work[1, i, j])
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def propagate_covariance(P, P_rows, blocks, dt, noise, sample, bias_random_walk, T, T_rows):
     """P becomes F P F' + Q in place. noise (N, 6), that of `sample` acts; bias_random_walk (6,); T (9, WIDTH) scratch.
 
@@ -191,7 +191,7 @@ def propagate_covariance(P, P_rows, blocks, dt, noise, sample, bias_random_walk,
         P[9 + b, 9 + b] += bias_random_walk[b] * bias_random_walk[b] * dt
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def measurement_model(kind, k, q, x, attitude, position, velocity, body, y, H_first, H_second, work):
     """Innovation y (3,) and the two 3 x 3 blocks of the measurement matrix; returns their first columns."""
     for i in range(3):
@@ -239,7 +239,7 @@ def measurement_model(kind, k, q, x, attitude, position, velocity, body, y, H_fi
     return 3, 0
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def normalised_innovation(P, y, var, first, H_first, second, H_second, work):
     """Three normalised innovations, one by one, and the log determinant of their covariance (in work[4])."""
     for i in range(3):
@@ -265,7 +265,7 @@ def normalised_innovation(P, y, var, first, H_first, second, H_second, work):
     return e0, e1, e2, 2.0 * np.log(l00 * l11 * l22)
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def measurement_update(P_rows, y, var, first, H_first, second, H_second, delta, s, s_rows, rows, count):
     """Three scalar updates of P and of the error estimate delta (18,); rows[count...] keep them for the smoother.
 
@@ -301,7 +301,7 @@ def measurement_update(P_rows, y, var, first, H_first, second, H_second, delta, 
                 rows[n, 10 + i] = s[i] * inverse
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def unpack_triangle(packed, k, P):
     """Write the lower triangle packed[k] (171,) to both halves of P (18, WIDTH)."""
     c = 0

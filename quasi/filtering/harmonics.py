@@ -131,7 +131,7 @@ def _line(
     return lfilter(b, a, ahead[:, ::-1], axis=1)[:, ::-1], carriers
 
 
-def _above(values: np.ndarray, lowest: float, rate: float) -> np.ndarray:
+def high_pass(values: np.ndarray, lowest: float, rate: float) -> np.ndarray:
     """What of columns (N, m) lies above the lowest frequency of a notch, zero phase."""
     return values - forces.low_pass(values, lowest / (1.0 + 0.5 * forces.TRANSITION), rate)
 
@@ -144,7 +144,7 @@ def take_out(values: np.ndarray, found: Lines) -> np.ndarray:
     """
     values = np.asarray(values, float)
     b, a = _low_pass(found.width, found.rate)
-    high = _above(values, found.lowest, found.rate)
+    high = high_pass(values, found.lowest, found.rate)
     left = high.copy()
     there = range(len(found.harmonic))
     for i in (*there, *reversed(there)):
@@ -153,7 +153,7 @@ def take_out(values: np.ndarray, found: Lines) -> np.ndarray:
             continue
         slow, carriers = _line(left, found.frequency[:, i], weight, found.rate, b, a)
         left -= 2.0 * weight[:, None] * (carriers * slow).sum(axis=0)
-    return values - _above(high - left, found.lowest, found.rate)
+    return values - high_pass(high - left, found.lowest, found.rate)
 
 
 def reach(found: Lines) -> int:
@@ -162,16 +162,15 @@ def reach(found: Lines) -> int:
     return int(np.ceil(RINGING * HALF * np.sqrt(2.0) / (np.pi * width) * rate))
 
 
-def clearness(values: np.ndarray, found: Lines, i: int, part: np.ndarray) -> float:
-    """Power of line i in columns (N, m) over what its neighbourhood would give there; about 1 where there is no line.
+def clearness(high: np.ndarray, found: Lines, i: int, part: np.ndarray) -> float:
+    """Power of line i in columns over what its neighbourhood would give there; about 1 where there is no line.
 
-    part  (N,) bool, the rows that count, at least one. The neighbourhood is that of three widths, without the line's
-    own. The greatest of the columns.
+    high (N, m)  the columns after `high_pass`; part  (N,) bool, the rows that count, at least one. The neighbourhood
+    is that of three widths, without the line's own. The greatest of the columns.
     """
-    values = _above(values, found.lowest, found.rate)
     power = []
     for width in (found.width, 3.0 * found.width):
-        line = (values, found.frequency[:, i], found.weight[:, i], found.rate, *_low_pass(width, found.rate))
+        line = (high, found.frequency[:, i], found.weight[:, i], found.rate, *_low_pass(width, found.rate))
         slow, _ = _line(*line)
         power.append(np.sum(slow**2, axis=0)[part].mean(axis=0))
     around = np.maximum((power[1] - power[0]) / 2.0, 1e-300)

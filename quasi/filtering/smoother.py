@@ -17,7 +17,7 @@ from quasi.terms.lanes import LANES, make_vectors, view_lanes
 SYMMETRISED = 8  # samples between two symmetrisations; rounding differences grow, for no update reduces them
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _pull(L, blocks, dt, Y, width):
     """Y = F' L, rows of L (18 width) mixed by the transposed Jacobian; numbers of arrays, or vectors of views."""
     half = 0.5 * dt
@@ -41,7 +41,7 @@ def _pull(L, blocks, dt, Y, width):
             Y[(15 + i) * width + j] = L[(15 + i) * width + j]
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _reduce_covariance(P, P_rows, L_rows, T, T_rows, out, out_rows, packed, k):
     """packed[k] = P - P L P, lower triangle; T, out (18, WIDTH) scratch. Two rows at a time share what they read."""
     for i in range(0, STATES, 2):
@@ -69,7 +69,7 @@ def _reduce_covariance(P, P_rows, L_rows, T, T_rows, out, out_rows, packed, k):
             c += 1
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _revert_update(rows, m, lam, L, L_rows, g, g_rows):
     """Carry the adjoint lam (18,) and its information L back over scalar update m; g (WIDTH,) scratch.
 
@@ -104,7 +104,7 @@ def _revert_update(rows, m, lam, L, L_rows, g, g_rows):
             L[b + e, b + f] += weight * rows[m, 7 + e] * rows[m, 7 + f]
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _backward(dt, gyro, accel, Q, X, C, rows, first, room, Cs):
     n, size, shape = Q.shape[0], STATES * CHUNKS, (STATES, WIDTH)
     room[:] = 0.0

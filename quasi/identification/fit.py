@@ -15,7 +15,7 @@ from quasi.identification.offsets import OFFSET_ROUNDS, LessOffsets, less_means,
 from quasi.identification.partition import TRAINING
 from quasi.identification.products import Pool, Products
 from quasi.identification.redundancy import drop_redundant
-from quasi.identification.regression import Fit, least_squares, memory_window
+from quasi.identification.regression import Fit, count_pairs, least_squares, memory_window
 from quasi.identification.steps import biases
 from quasi.identification.stepwise import RIVALS, Options, Selection, select
 from quasi.identification.structure import inclusion, leave_one_flight_out
@@ -208,13 +208,13 @@ def _choose(
     pool: Pool, products: Products, share: np.ndarray, options: Options, config, names, total: float, series
 ) -> tuple[Selection, list[int], dict[str, Any] | None]:
     known: dict[tuple[int, ...], int] = {}
-    sizes = [len(rows) for rows in series]
+    sizes, pairs = [len(rows) for rows in series], count_pairs(series)
 
     def memory(columns: list[int]) -> int:
         key = tuple(sorted(columns))
         if key not in known:
             left = less_means(pool.residuals(columns, products.coefficients(columns)), sizes, share)
-            known[key] = 1 + round(memory_window(left, series) / pool.length)
+            known[key] = 1 + round(memory_window(left, series, pairs) / pool.length)
         return known[key]
 
     about = {"unusable": pool.unusable, "constant": pool.constant}

@@ -131,34 +131,42 @@ def flat_top(scores: np.ndarray, series: Sequence[np.ndarray], bandwidth: int) -
     return sharper if least > 0.0 else whole
 
 
-def memory_window(values: np.ndarray, series: Sequence[np.ndarray]) -> int:
+def memory_window(values: np.ndarray, series: Sequence[np.ndarray], pairs: np.ndarray | None = None) -> int:
     """Lags over which values (n,) resemble themselves: the smallest window of five times the memory summed inside it.
 
-    Missing rows are left out of the products. At least 1, at most a third of the longest flight.
+    Missing rows are left out of the products. At least 1, at most a third of the longest flight. pairs  of
+    `count_pairs`, where they are known
     """
-    return memory_windows(values[None], series)[0]
+    return memory_windows(values[None], series, pairs)[0]
 
 
-def memory_windows(values: np.ndarray, series: Sequence[np.ndarray]) -> list[int]:
+def memory_windows(values: np.ndarray, series: Sequence[np.ndarray], pairs: np.ndarray | None = None) -> list[int]:
     """As `memory_window`, of each row of values (k, n)."""
+    pairs = count_pairs(series) if pairs is None else pairs
+    return [_window(products, pairs) for products in _sum_products(values, series)]
+
+
+def count_pairs(series: Sequence[np.ndarray]) -> np.ndarray:
+    """Pairs of rows (limit,) that are there, per lag; the same for all values of some rows."""
+    return np.round(_sum_products(np.ones((1, sum(map(len, series)))), series)[0])
+
+
+def _sum_products(values: np.ndarray, series: Sequence[np.ndarray]) -> np.ndarray:
+    """Sums (k, limit) of products of each row of values (k, n) with itself, per lag, within flights."""
     longest = max((int(rows[-1] - rows[0]) + 1 for rows in series if len(rows)), default=1)
     limit = max(longest // 3, 1)
     size = fft.next_fast_len(longest + limit, real=True)
-    # the last row counts the pairs of rows that are there
-    total = np.zeros((len(values) + 1, limit))
+    total = np.zeros((len(values), limit))
     start = 0
     for rows in series:
         part = values[:, start : start + len(rows)]
         start += len(rows)
         if not len(rows):
             continue
-        dense = np.zeros((len(values) + 1, size))
-        dense[:-1, rows - rows[0]] = part
-        dense[-1, rows - rows[0]] = 1.0
-        correlation = fft.irfft(np.abs(fft.rfft(dense, axis=1)) ** 2, size, axis=1)[:, :limit]
-        correlation[-1] = np.round(correlation[-1])
-        total += correlation
-    return [_window(product, total[-1]) for product in total[:-1]]
+        dense = np.zeros((len(values), size))
+        dense[:, rows - rows[0]] = part
+        total += fft.irfft(np.abs(fft.rfft(dense, axis=1)) ** 2, size, axis=1)[:, :limit]
+    return total
 
 
 def _window(product: np.ndarray, pairs: np.ndarray) -> int:

@@ -27,10 +27,12 @@ CAPTURED, ONBOARD_ATTITUDE, CAPTURED_POSITION = "captured attitude", "on-board a
 ONBOARD_POSITION, ONBOARD_VELOCITY = "on-board position", "on-board velocity"
 
 
-def cross_check(board: Onboard, capture: Series | None, sync: Synchronisation | None) -> list[Contradiction]:
+def cross_check(
+    board: Onboard, motion: Motion, capture: Series | None, sync: Synchronisation | None
+) -> list[Contradiction]:
     """Contradictions between the sources of a flight beyond the limits of `quasi.sensor_limits`.
 
-    capture  on its own clock, which `sync` ties to the on-board clock; None where it has that clock
+    motion  of `board`; capture  on its own clock, which `sync` ties to the on-board clock; None where it has that clock
     """
     found: list[Contradiction] = []
     logged = board.attitude_source == "onboard"
@@ -42,7 +44,6 @@ def cross_check(board: Onboard, capture: Series | None, sync: Synchronisation | 
     for name, (t, attitude) in attitudes.items():
         both = (board.gyro.t, board.gyro.values, t, attitude)
         found += check_axis_order(exchanged_axes(*both), name) or check_rate_gains(rate_gains(*both), name)
-    motion = board.motion()
     if capture is None:
         paths = {ONBOARD_POSITION: board.position, ONBOARD_VELOCITY: board.velocity}
         for path, track in paths.items():

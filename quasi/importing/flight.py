@@ -81,15 +81,16 @@ def import_flight(
         board, capture = calibrated_onboard(board, calibration), calibrated_capture(capture, marker, calibration)
         if (calibration.get("imu") or {}).get("lever arm") and "imu position" not in quadrotor:
             chosen["do onboard c.g. correction"] = False  # what hover would give is in the calibration
+    motion = board.motion()
     try:
-        sync = _align(board, capture, captured, chosen, where, notes)
+        sync = _align(board, motion, capture, captured, chosen, where, notes)
     except DataError as error:
         if any(end.sensor == "gyro" for end in ends):
             raise DataError(f"{error}; the gyro was clipped at the end of its range, which may be why") from None
         raise
     if capture is not None:
         capture = remove_frozen_poses(capture, board.gyro, sync, where, notes)
-    contradictory = cross_check(board, capture, sync)
+    contradictory = cross_check(board, motion, capture, sync)
     board, telemetry = remove_telemetry_age(board, where, notes)
     frame, facts = _fuse(board, capture, sync, quadrotor, chosen, where, notes)
     at = frame["t"].to_numpy() + facts["start"]["value"]
@@ -219,8 +220,8 @@ def _on_board_time(series: Series, quadrotor: Mapping[str, Any], board: Onboard)
 
 
 def _align(
-    board: Onboard, capture: Series | None, captured: Recording | None, chosen: Mapping[str, Any], where: str,
-    notes: list[str],
+    board: Onboard, motion: Motion, capture: Series | None, captured: Recording | None, chosen: Mapping[str, Any],
+    where: str, notes: list[str],
 ) -> Synchronisation | None:  # fmt: skip
     """Tie the capture's clock to the on-board clock. A capture of the same table may stay where it is."""
     if capture is None:
@@ -231,12 +232,12 @@ def _align(
     seen = Motion(capture.t, quaternion=capture.matrix(QUATERNION), position=capture.matrix(POSITION_COLUMNS))
     using = list(chosen["align with optitrack using"])
     if captured is not None:
-        sync = synchronise(board.motion(), seen, using, _longest_lag(chosen, captured), where)
+        sync = synchronise(motion, seen, using, _longest_lag(chosen, captured), where)
         unit = captured.metadata["length unit"]
-        refuse_wrong_lengths(board.motion(), sync.to_onboard(capture.t), seen.position, unit, where)
+        refuse_wrong_lengths(motion, sync.to_onboard(capture.t), seen.position, unit, where)
     else:
         try:
-            sync = synchronise(board.motion(), seen, using, _longest_lag(chosen, captured), where, same_clock=True)
+            sync = synchronise(motion, seen, using, _longest_lag(chosen, captured), where, same_clock=True)
         except DataError as error:
             add_caution(
                 notes, f"{where}: the capture stays on the log's own clock, lag 0: none could be found ({error})"

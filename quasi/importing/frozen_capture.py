@@ -29,8 +29,8 @@ def remove_frozen_poses(
     if q is None:
         return capture
     pose = np.hstack([capture.matrix(POSITION_COLUMNS), q])
-    _, number = np.unique(pose, axis=0, return_inverse=True)
-    label = np.where(np.isfinite(pose).all(axis=1), number.ravel().astype(float), np.nan)
+    number = np.append(0, np.cumsum((pose[1:] != pose[:-1]).any(axis=1)))  # of the pose, for neighbours to compare
+    label = np.where(np.isfinite(pose).all(axis=1), number, np.nan)
     there = sync.to_onboard(capture.t) if sync else capture.t
     fine = np.isfinite(gyro.values).all(axis=1)
     t, rates = gyro.t[fine], gyro.values[fine]

@@ -253,6 +253,7 @@ class Recordings:
         part["file"] = self.quadrotor_path(row).stem
         return {"quadrotor": part, "problem": problem}
 
+    @functools.cache  # noqa: B019 - rules ask four times for each flight
     def importing(self, quadrotor: str, flight: str) -> dict[str, Any]:
         """Settings of one import job."""
         row = self.logbooks.row(quadrotor, flight)

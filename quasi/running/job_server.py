@@ -49,6 +49,11 @@ THREAD_VARIABLES = (
     "VECLIB_MAXIMUM_THREADS",
     "NUMEXPR_NUM_THREADS",
 )  # those that Snakemake sets for a job
+# bytes of an array that the C library (glibc) takes from the kernel by itself and gives back when it is freed. Its own
+# limit, 128 kB, is less than a column of a flight: the kernel would clear new pages for each intermediate result, a
+# tenth of what a job computes. Half the memory that a job may use (benchmarks/batch.py) is never given back so.
+KEPT_BYTES = 1 << 29
+MALLOC_VARIABLES = ("MALLOC_MMAP_THRESHOLD_", "MALLOC_TRIM_THRESHOLD_")
 # what most jobs import; a job imports the rest itself
 PRELOADED = (
     "snakemake.iocontainers",
@@ -95,7 +100,8 @@ class JobServer:
         self._rooms: dict[str, socket.socket] = {}
         self._cores = cores
         program = f"from quasi.running.job_server import serve; serve({theirs.fileno()}, {list(modules)!r})"
-        environment = os.environ | dict.fromkeys(THREAD_VARIABLES, "1")
+        environment = dict.fromkeys(MALLOC_VARIABLES, str(KEPT_BYTES)) | os.environ
+        environment |= dict.fromkeys(THREAD_VARIABLES, "1")
         with theirs:
             self._process = subprocess.Popen(
                 [sys.executable, "-P", "-c", program], pass_fds=[theirs.fileno()], env=environment
@@ -146,8 +152,10 @@ class JobServer:
 def serve(descriptor: int, modules: Sequence[str]) -> None:
     """Run the server until the main process closes its end of the control socket. Each job returns from here too."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches the jobs by themselves
+    gc.disable()  # what is imported stays
     for module in modules:
         importlib.import_module(module)
+    gc.enable()
     _serve(socket.socket(fileno=descriptor))
 
 

@@ -31,19 +31,21 @@ def test_snakemake_still_selects_by_the_method_that_is_replaced():
     assert "job_selector" in JobScheduler.schedule.__code__.co_names
 
 
-def test_a_run_replaces_both_methods(tmp_path):
+def test_a_run_replaces_the_methods(tmp_path):
     program = """import sys
 from snakemake.cli import main
+from snakemake.dag import ScriptProcessor
 from snakemake.scheduling.job_scheduler import JobScheduler
 try:
     main(sys.argv[1:])
 except SystemExit:
     pass
 print(JobScheduler.job_selector.__module__, JobScheduler._schedule_reevalutation.__module__)
+print(ScriptProcessor.process_job.__module__)
 """
     asked = ["-s", str(ROOT / "Snakefile"), "-d", str(tmp_path), "--dry-run", "models/none/standalone"]
     done = subprocess.run([sys.executable, "-c", program, *asked], capture_output=True, text=True, check=True)
-    assert done.stdout.split()[-2:] == ["quasi.running.ready_jobs"] * 2
+    assert done.stdout.split()[-3:] == ["quasi.running.ready_jobs"] * 2 + ["quasi.running.rule_scripts"]
 
 
 @pytest.mark.parametrize(("cores", "nodes"), [(2, sys.maxsize), (sys.maxsize, 300), (0, sys.maxsize)])

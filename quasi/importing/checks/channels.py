@@ -24,8 +24,8 @@ def frozen_sensor_spans(
     for sensor, names in SENSOR_CHANNELS.items():
         for name in (n for n in names if n in values):
             step = log_step(values[name])
-            for a, b in constant_runs(t, np.where(flying, values[name], np.nan)):
-                if t[b - 1] - t[a] >= SHORTEST_FREEZE and not is_quiet(values[name], a, b, step):
+            for a, b in constant_runs(t, np.where(flying, values[name], np.nan), SHORTEST_FREEZE):
+                if not is_quiet(values[name], a, b, step):
                     spans.append(
                         InvalidSpan(float(t[a]), float(t[b - 1]), f"{sensor} channel '{name}' is constant in flight")
                     )

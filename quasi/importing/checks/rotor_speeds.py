@@ -129,8 +129,8 @@ def unreliable_spans(t: np.ndarray, values: Mapping[str, np.ndarray]) -> list[In
         step = log_step(speeds)
         changing = float(np.count_nonzero(flying[1:] & (np.diff(np.nan_to_num(speeds)) != 0)))
         usual = float(np.sum(np.diff(t)[flying[1:]])) / changing if changing else np.inf
-        for a, b in constant_runs(t, np.where(flying & ~standing, speeds, np.nan)):
-            if t[b - 1] - t[a] < SHORTEST_ROTOR_FREEZE or is_quiet(speeds, a, b, step):
+        for a, b in constant_runs(t, np.where(flying & ~standing, speeds, np.nan), SHORTEST_ROTOR_FREEZE):
+            if is_quiet(speeds, a, b, step):
                 continue
             varies = any(changes[other][b - 1] > changes[other][a] for other in names if other != name)
             if varies or t[b - 1] - t[a] >= MANY_HOLDS * usual:

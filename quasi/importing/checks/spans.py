@@ -19,14 +19,17 @@ class InvalidSpan(NamedTuple):
     reason: str
 
 
-def constant_runs(t: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """First and one past the last index (k, 2) of runs of two or more equal finite values (n,) without a gap in t."""
+def constant_runs(t: np.ndarray, values: np.ndarray, shortest: float = 0.0) -> np.ndarray:
+    """First and one past the last index (k, 2) of runs of two or more equal finite values (n,) without a gap in t.
+
+    shortest  s, that a run lasts at least
+    """
     step = np.diff(t)
     together = step <= GAP * np.median(step)
     same = np.concatenate([[False], (values[1:] == values[:-1]) & together])
     runs = runs_of(same)
     runs[:, 0] -= 1
-    return runs
+    return runs[t[runs[:, 1] - 1] - t[runs[:, 0]] >= shortest]
 
 
 def log_step(values: np.ndarray) -> float:
