@@ -346,7 +346,9 @@ def _warn(found: Mapping[str, list[Lag]], result: Mapping[str, Any], notes: list
     early = [f"{i} ({d * 1e3:.1f} ms)" for i, d in enumerate(result["delay"]["value"], 1) if d < -1e-3]
     if early:
         notes.append(
-            f"rotors answer before their command: delay of rotor {', '.join(early)}; check the log's time stamps"
+            f"rotors answer before their command: delay of rotor {', '.join(early)}; check the log's time stamps. ESCs "
+            "that control the rotor speed show this too: they answer at once and settle late, which no first-order lag "
+            "describes"
         )
     gains = [lag.map[1] for lags in found.values() for lag in lags if lag.exponent is None]
     if gains and abs(np.median(gains) - 1.0) > 0.1:
