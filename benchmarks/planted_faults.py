@@ -82,7 +82,7 @@ FAULTS = (
     Fault("damaged packing is not caught", "gzip", "quasi/tables.py",
           "    except (OSError, EOFError, zlib.error) as error:", "    except OSError as error:"),
     Fault("damaged Parquet is not caught", "parquet", "quasi/tables.py",
-          "except (pa.ArrowException, OSError, ValueError, KeyError, TypeError, MemoryError) as error:",
+          "except (pyarrow.ArrowException, OSError, ValueError, KeyError, TypeError, MemoryError) as error:",
           "except (KeyError, TypeError, MemoryError) as error:"),
 )  # fmt: skip
 

@@ -127,7 +127,7 @@ def shared(
         wrong = contradictions(prepared, airframe, simple["kappaFz"]["value"])
         measured = {k: f for k, f in training.items() if drive is None or k not in drive["estimated flights"]}
         constants = actuators(measured, {k: partition[k] == TRAINING for k in measured}, notes, command_map, aged)
-    notes += wrong
+    notes += wrong + _on_axes(airframe)
     return {
         "schema": "quasi.shared/1",
         "gravity": gravity,
@@ -139,6 +139,17 @@ def shared(
         "contradictions": wrong,
         "notes": notes,
     }
+
+
+def _on_axes(airframe: Airframe) -> list[str]:
+    """A sentence where rotors sit on the body axes: the signs of U_p and U_q (manual, 6.5) are those of a cross."""
+    hubs = np.abs(airframe.hubs[:, :2])
+    if (2.0 * hubs >= hubs.max(axis=0)).all():
+        return []
+    return [
+        "rotors sit on the body axes (plus configuration), where U_p and U_q are no roll and pitch: do not use the "
+        "simple model; one with terms in w1 to w4, or in all of U_p, U_q, U_r and w_avg^2, holds"
+    ]
 
 
 def _mass(mass: float | None, key: str) -> float:

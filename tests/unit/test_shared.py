@@ -1,5 +1,7 @@
 """Hover speed, simple model, actuator constants from flights whose truth is known."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 from flights import AIRFRAME, HOVER, PITCH, ROLL, THRUST, YAW, flight
@@ -101,3 +103,11 @@ def test_rotors_that_differ_leave_the_torque_factors_of_a_balanced_flight():
     found = shared({"a": balanced}, {"a": np.ones(6000, int)}, AIRFRAME)["simple model"]["kappaMx"]
     assert found["value"] == pytest.approx(slopes @ AIRFRAME.left / 4.0, rel=0.02)
     assert found["std"] < 0.02 * found["value"]
+
+
+def test_a_plus_configuration_is_no_case_for_the_simple_model(flights):
+    turned = AIRFRAME.hubs @ np.array([[1.0, 1.0, 0.0], [-1.0, 1.0, 0.0], [0.0, 0.0, 1.0]]) / np.sqrt(2.0)
+    plus = dataclasses.replace(AIRFRAME, hubs=np.where(np.abs(turned) < 0.5 * AIRFRAME.arm, 0.0, turned))
+    for airframe, expected in ((AIRFRAME, 0), (plus, 1)):
+        notes = shared(flights, partition(flights), airframe)["notes"]
+        assert sum("plus configuration" in note for note in notes) == expected

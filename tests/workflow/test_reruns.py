@@ -174,7 +174,7 @@ def test_isolation_trains_each_axis_on_its_own_rows_and_no_rows_left_is_a_senten
     def nothing_left(config):
         config["manoeuvre excitations"]["excitation threshold"] = 1.0
         config["manoeuvre excitations"]["spread"] = 0.0
-        config["data partitioning"] = {"partition ratio": 0.001}
+        config["data partitioning"] = {"partition ratio": 0.03}
 
     project.edit_json("config/models/small.json", nothing_left)
     code, text = project.snakemake("-j1", "models/small/standalone")
