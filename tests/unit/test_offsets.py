@@ -82,6 +82,23 @@ def test_products_less_means_are_those_of_the_columns_less_means():
     np.testing.assert_allclose(part.cross(2).sum(axis=0), (x.T @ x)[4, [0, 1, 4]], rtol=1e-9, atol=1e-9)
 
 
+def test_products_less_bends_are_those_of_targets_less_what_thrust_changes_of_offsets():
+    rng = np.random.default_rng(2)
+    trees = [("number", 1.0), *(parse(e) for e in ("u", "v", "u*v"))]
+    blocks = [{n: rng.normal(3.0, 1.0, 300 + 50 * k) for n in "uv"} for k in range(3)]
+    targets = [rng.normal(5.0, 1.0, len(b["u"])) for b in blocks]
+    shapes = [b["u"] / b["u"].mean() for b in blocks]
+    offsets = np.array([0.4, -1.3, 2.0])
+    found = Pool(trees, 2, blocks, targets, shapes=shapes).less_bends(offsets)
+    expected = Pool(trees, 2, blocks, [z - o * (g - 1.0) for z, o, g in zip(targets, offsets, shapes)])
+    # both are kept about means over all rows, which offsets of mean 0 leave as they were
+    assert found.target_shift == pytest.approx(expected.target_shift)
+    for name in ("target", "target_square", "target_sum", "square"):
+        np.testing.assert_allclose(getattr(found, name), getattr(expected, name), rtol=1e-9, atol=1e-9)
+    theta = np.array([0.3, 1.0, -0.5, 0.1])
+    np.testing.assert_allclose(found.residuals(range(4), theta), expected.residuals(range(4), theta), rtol=1e-9)
+
+
 def test_slopes_are_right_within_their_errors_where_trim_balances_offsets():
     inside, off = [], []
     for seed in range(60):
