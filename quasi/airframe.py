@@ -134,7 +134,14 @@ def read_airframe(config: Mapping[str, Any], where: str, mass: float | None = No
     if direction not in ("CW", "CCW"):
         raise ConfigError(f"{where}: 'rotor1 rotation direction' is {direction!r}, expected 'CW' or 'CCW'")
 
-    arm = number(config, "b", where)
+    positions = {int(key): [float(c) for c in place] for key, place in (config.get("rotor positions") or {}).items()}
+    radii = [math.hypot(x, y) for x, y, _ in positions.values()]
+    arm = number(config, "b", where, float(np.mean(radii)) if len(radii) == len(ROTOR_POSITIONS) else None)
+    if arm is None:
+        raise ConfigError(
+            f"{where} lacks the key 'b' (distance from rotor hub to cg, in the rotor plane, m); "
+            "add it, or each hub's place in 'rotor positions'"
+        )
     radius = number(config, "rotor radius", where)
     for key, value in (("b", arm), ("rotor radius", radius)):
         if value is None or value <= 0:
@@ -149,8 +156,8 @@ def read_airframe(config: Mapping[str, Any], where: str, mass: float | None = No
     hubs = np.zeros((4, 3))
     for place, (front, right) in ROTOR_POSITIONS.items():
         hubs[numbers[place] - 1] = *(arm / math.sqrt(2) * np.array([front, right])), -height
-    for key, position in (config.get("rotor positions") or {}).items():
-        hubs[int(key) - 1] = [float(c) for c in position]
+    for rotor, position in positions.items():
+        hubs[rotor - 1] = position
 
     spin = np.zeros(4)
     diagonal = {"front left": 1, "aft right": 1, "front right": -1, "aft left": -1}

@@ -49,6 +49,16 @@ def test_hubs_stand_as_high_above_the_cg_as_configured():
         read_airframe({**BEETLE, "rotor hub height": "high"}, "beetle")
 
 
+def test_four_places_of_hubs_need_no_arm():
+    places = {"1": [-0.08, 0.06, 0.01], "2": [0.06, 0.08, 0], "3": [-0.05, -0.12, 0], "4": [0.05, -0.12, 0]}
+    without = {key: value for key, value in BEETLE.items() if key != "b"}
+    assert read_airframe({**without, "rotor positions": places}, "x").arm == pytest.approx(0.115)  # 0.1 0.1 0.13 0.13
+    assert read_airframe({**BEETLE, "rotor positions": places}, "x").arm == 0.077
+    for few in ({}, {"rotor positions": {"1": places["1"]}}):
+        with pytest.raises(ConfigError, match="x lacks the key .b. .* or each hub's place in 'rotor positions'"):
+            read_airframe({**without, **few}, "x")
+
+
 def test_spin_of_every_layout_is_alike_on_diagonals_and_opposite_beside():
     places = ["front left", "front right", "aft right", "aft left"]
     for turn in range(4):

@@ -233,7 +233,7 @@ DAMAGE = [
     (lambda d: d["model"].update(Fx=3), "expected a section"),
     (lambda d: d.update(model={}), "holds none of"),
     (lambda d: d.update(droneParams=[]), "expected a section"),
-    (lambda d: d["droneParams"].pop("b"), "'b' must be a positive length"),
+    (lambda d: d["droneParams"].pop("b"), "lacks the key 'b'"),
     (lambda d: d["droneParams"].update(Iv=[[1, 2], [3]]), "moment of inertia"),
     (lambda d: d["droneParams"].update(m=-1), "mass"),
     (lambda d: d["droneParams"].update({"rotor 1 direction": "up"}), "rotor 1 direction"),
