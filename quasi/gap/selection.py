@@ -62,7 +62,6 @@ class Rival(NamedTuple):
     id: str
     p: float
     p_given_cause: float
-    cause_p_given_rival: float
 
 
 class Named(NamedTuple):
@@ -346,7 +345,7 @@ class Search:
             separability = min(given[best.offer, b.offer].separability for b in equal)
             return None, [], Tie([best, *sorted(equal, key=lambda b: b.p)[:2]], separability)
         rivals = [
-            Rival(b.offer.cause, b.p, given[b.offer, best.offer].p, given[best.offer, b.offer].p)
+            Rival(b.offer.cause, b.p, given[b.offer, best.offer].p)
             for b in sorted(others, key=lambda b: b.p)
             if not stays(b, best)
         ]

@@ -10,7 +10,6 @@ from collections.abc import Mapping
 import numpy as np
 
 from quasi.airframe import Airframe
-from quasi.errors import DataError
 from quasi.identification.offsets import fit_with_offsets
 from quasi.sensor_limits import describe_impossible_inertia
 from quasi.terms.expressions import Program, parse
@@ -23,51 +22,33 @@ LARGEST_COMMON_RATIO = 1.5  # between the factors of roll and pitch that are rep
 OTHER_MOMENT_TERMS = {"Mx": ("p", "w_tot*v", "u_p_dot"), "My": ("q", "w_tot*u", "u_q_dot"), "Mz": ("r", "u_r_dot")}
 
 
-def contradictions(prepared: Mapping[str, tuple], airframe: Airframe, thrust: float) -> list[str]:
+def contradicting_places(
+    slopes: Mapping[str, tuple[np.ndarray, np.ndarray]], airframe: Airframe, thrust: float
+) -> list[str]:
     """Sentences on rotors that seem to be elsewhere, or to turn the other way, than the airframe says.
 
-    prepared  {flight: (rows, values by column, mass)} of training rows; thrust  of one rotor, N s2/rad2
+    slopes  {"Mx", "My", "Mz": slope of the moment by what each rotor's thrust is in proportion to (4,), its standard
+            errors (4,)}; thrust  the same slope of one rotor's thrust
     """
     if not thrust > 0.0:
         return [
             f"the faster the rotors turn, the less they lift (thrust factor {thrust:.2g} N s2/rad2): check the sign "
             "and axes of the accelerometer, and the rotor speeds"
         ]
-    slopes: dict[str, tuple[np.ndarray, np.ndarray] | None] = {}
-    for axis in OTHER_MOMENT_TERMS:
-        try:
-            slope, covariance, _ = rotor_slopes(prepared, airframe, axis)
-            slopes[axis] = slope, np.sqrt(np.diag(covariance))
-        except DataError:  # others say so
-            slopes[axis] = None
-    return contradicting_places(slopes, airframe, thrust)
-
-
-def contradicting_places(
-    slopes: Mapping[str, tuple[np.ndarray, np.ndarray] | None], airframe: Airframe, thrust: float
-) -> list[str]:
-    """Sentences on rotors that seem to be elsewhere, or to turn the other way, than the airframe says.
-
-    slopes  {"Mx", "My", "Mz": slope of the moment by what each rotor's thrust is in proportion to (4,), its standard
-            errors (4,); None where unknown}; thrust  the same slope of one rotor's thrust
-    """
-    places: list[str] = []
-    scaled = None
-    if slopes["Mx"] is not None and slopes["My"] is not None:
-        hubs = airframe.hubs[:, :2]
-        seen = np.stack([slopes["My"][0], -slopes["Mx"][0]], axis=1) / thrust
-        std = np.stack([slopes["My"][1], slopes["Mx"][1]], axis=1) / thrust
-        elsewhere = (np.abs(seen - hubs) > np.maximum(LARGEST_MISPLACEMENT * airframe.arm, SURE * std)).any(axis=1)
-        scaled = _scaled(seen, std, hubs, airframe.arm) if elsewhere.any() else None
-        # rotors that push nowhere are in moments that do not hold their answer (rates without a gyro), not elsewhere
-        reach = np.hypot(*seen.T) + SURE * np.hypot(*std.T)
-        if not scaled and (reach < (1.0 - LARGEST_MISPLACEMENT) * airframe.arm).all():
-            elsewhere[:] = False
-        places = [
-            f"rotor {i + 1} pushes as if it were {_side(*seen[i])} (x = {seen[i, 0]:.2f} m, y = {seen[i, 1]:.2f} m), "
-            f"the configuration has it {_side(*hubs[i])} (x = {hubs[i, 0]:.2f} m, y = {hubs[i, 1]:.2f} m)"
-            for i in np.flatnonzero(elsewhere)
-        ]
+    hubs = airframe.hubs[:, :2]
+    seen = np.stack([slopes["My"][0], -slopes["Mx"][0]], axis=1) / thrust
+    std = np.stack([slopes["My"][1], slopes["Mx"][1]], axis=1) / thrust
+    elsewhere = (np.abs(seen - hubs) > np.maximum(LARGEST_MISPLACEMENT * airframe.arm, SURE * std)).any(axis=1)
+    scaled = _scaled(seen, std, hubs, airframe.arm) if elsewhere.any() else None
+    # rotors that push nowhere are in moments that do not hold their answer (rates without a gyro), not elsewhere
+    reach = np.hypot(*seen.T) + SURE * np.hypot(*std.T)
+    if not scaled and (reach < (1.0 - LARGEST_MISPLACEMENT) * airframe.arm).all():
+        elsewhere[:] = False
+    places = [
+        f"rotor {i + 1} pushes as if it were {_side(*seen[i])} (x = {seen[i, 0]:.2f} m, y = {seen[i, 1]:.2f} m), "
+        f"the configuration has it {_side(*hubs[i])} (x = {hubs[i, 0]:.2f} m, y = {hubs[i, 1]:.2f} m)"
+        for i in np.flatnonzero(elsewhere)
+    ]
     notes = [fault] if (fault := describe_impossible_inertia(airframe.inertia, True)) else []
     if scaled:
         notes.append(scaled)
@@ -76,15 +57,14 @@ def contradicting_places(
             f"{'; '.join(places)}: correct the rotors' numbers or places in the quadrotor's configuration, and import "
             "anew"
         )
-    if slopes["Mz"] is not None:
-        value, std = slopes["Mz"]
-        against = [str(i + 1) for i in range(4) if value[i] * airframe.spin[i] > SURE * std[i]]
-        if against:
-            notes.append(
-                f"the faster rotor{'s' * (len(against) > 1)} {', '.join(against)}, the more the body turns in the "
-                "sense that the configuration gives the rotor, seen from above, where drag turns it the other way: "
-                "correct 'rotor1 rotation direction' or the rotors' numbers in the quadrotor's configuration"
-            )
+    value, std = slopes["Mz"]
+    against = [str(i + 1) for i in range(4) if value[i] * airframe.spin[i] > SURE * std[i]]
+    if against:
+        notes.append(
+            f"the faster rotor{'s' * (len(against) > 1)} {', '.join(against)}, the more the body turns in the "
+            "sense that the configuration gives the rotor, seen from above, where drag turns it the other way: "
+            "correct 'rotor1 rotation direction' or the rotors' numbers in the quadrotor's configuration"
+        )
     return notes
 
 

@@ -13,7 +13,7 @@ from quasi.airframe import Airframe
 from quasi.attitude import GRAVITY
 from quasi.errors import DataError
 from quasi.identification.actuators import actuators
-from quasi.identification.geometry import contradicting_places, contradictions, rotor_slopes
+from quasi.identification.geometry import contradicting_places, rotor_slopes
 from quasi.identification.partition import TRAINING
 from quasi.identification.regression import least_squares
 from quasi.identification.rotor_speeds import actuators_of, command_kind, factors_of, places_of
@@ -95,7 +95,7 @@ def shared(
     gravity    what Fx..Fz hold: "withGravity" (mass x specific force) or "noGravity" (net force)
     masses     kg per flight, where they differ from the airframe's
     command_map  the quadrotor's configured map from command to rotor speed, where there is one
-    aged       {flight: whether import took the age of its rotor telemetry off}, from `tables.ages_taken_off`
+    aged       {flight: whether import took the age of its rotor telemetry off}
     drive      the identified "rotor speeds" (`rotor_speeds.rotor_speeds_of`); where all speeds are estimated from it,
                its thrust and torque factors, lag and geometry stand here, for they hold in closed loop
     Raises DataError when a column or the mass is missing.
@@ -117,14 +117,14 @@ def shared(
         if gravity == "noGravity":
             values["Fz"] = values["Fz"] - _mass(mass, key) * GRAVITY * values["upright"]
         prepared[key] = (rows[good], values, mass)
-    simple = _simple(prepared, airframe)
+    simple, by_rotor = _simple(prepared, airframe)
     estimated = drive is not None and drive.get("factors") is not None
     if estimated:
         simple |= factors_of(drive, airframe)
         wrong = contradicting_places(places_of(drive), airframe, 1.0)
         constants = actuators_of(drive)
     else:
-        wrong = contradictions(prepared, airframe, simple["kappaFz"]["value"])
+        wrong = contradicting_places(by_rotor, airframe, simple["kappaFz"]["value"])
         measured = {k: f for k, f in training.items() if drive is None or k not in drive["estimated flights"]}
         constants = actuators(measured, {k: partition[k] == TRAINING for k in measured}, notes, command_map, aged)
     notes += wrong + _on_axes(airframe)
@@ -196,8 +196,11 @@ _FACTORS = {f"kappa{axis}{end}": (axis, power) for end, power in (("", 2), ("_w"
 _OTHER_FORCES = ("w_tot*w", "u^2 + v^2")
 
 
-def _simple(prepared: Mapping[str, tuple], airframe: Airframe) -> dict[str, Any]:
-    """Thrust and torque factors: kappaX on squared speeds, kappaX_w on speeds, in still air with steady rotors.
+def _simple(
+    prepared: Mapping[str, tuple], airframe: Airframe
+) -> tuple[dict[str, Any], dict[str, tuple[np.ndarray, np.ndarray]]]:
+    """Thrust and torque factors: kappaX on squared speeds, kappaX_w on speeds, in still air with steady rotors; and
+    {"Mx", "My", "Mz": slope of the moment by each rotor's squared speed (4,), its standard errors (4,)}.
 
     Climb, airspeed, flapping, damping and the rotors' acceleration go together with the commands in flight; left out
     of the fit, they would pass for thrust and torque. So would the moment of a displaced cg, by which flights may
@@ -206,18 +209,20 @@ def _simple(prepared: Mapping[str, tuple], airframe: Airframe) -> dict[str, Any]
     without the moment. So a moment has a slope by each rotor, and its factor is that of their pattern. Coefficients of
     what else was fitted are not kept.
     """
-    result = {}
+    result, by_rotor = {}, {}
     patterns = dict(zip(MOMENTS, (airframe.left, airframe.front, airframe.spin)))
     for name, (axis, power) in _FACTORS.items():
         if axis == "Fz":
             value, std, others = _thrust(prepared, airframe, power)
         else:
             slopes, covariance, others = rotor_slopes(prepared, airframe, axis, power)
+            if power == 2:
+                by_rotor[axis] = slopes, np.sqrt(np.diag(covariance))
             share = np.asarray(patterns[axis], float) / 4.0
             value, std = float(share @ slopes), float(np.sqrt(share @ covariance @ share))
         unit = ("N" if axis == "Fz" else "N m") + (" s2/rad2" if power == 2 else " s/rad")
         result[name] = {"value": value, "std": std, "unit": unit, "fitted together with": others}
-    return result
+    return result, by_rotor
 
 
 def _thrust(prepared: Mapping[str, tuple], airframe: Airframe, power: int) -> tuple[float, float, list[str]]:
