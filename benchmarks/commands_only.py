@@ -34,7 +34,8 @@ from quasi.filtering.rotor_speeds import add_estimated_speeds, read_flight
 from quasi.identification.flight_scatter import flight_factor
 from quasi.identification.joint_fit import JOINT_AXES, JointFit, prepare_flight
 from quasi.identification.partition import partition, usable
-from quasi.identification.rotor_speeds import rotor_speeds_of, rows_within_limits
+from quasi.identification.rotor_rows import rows_within_limits
+from quasi.identification.rotor_speeds import rotor_speeds_of
 from quasi.identification.shared import shared
 from quasi.model.model import read_model
 from quasi.simulation.tools.rollout import compute_errors, count_steps, rollout

@@ -32,6 +32,7 @@ from quasi.identification.flight_scatter import factor_error
 from quasi.identification.joint_fit import JOINT_AXES, JointFit, prepare_flight
 from quasi.identification.partition import TRAINING, UNUSED
 from quasi.identification.regression import ends_within
+from quasi.identification.rotor_rows import rows_in_free_air, rows_within_limits
 from quasi.identification.taught_map import SHORTEST_COMPARED, teach_map, teaching_flights
 from quasi.identification.yaw_fit import fit_yaw
 from quasi.terms.rotor_map import (
@@ -45,11 +46,10 @@ from quasi.terms.rotor_map import (
     used_rows,
 )
 
-AFTER_LIMIT = 0.2  # s after a command left its limit: five lags of a brushed motor
-SATURATED_SHARE = 0.999  # a share of the command from which on it is at its limit
 # Static thrust coefficient T / (rho n2 D4) of small propellers is 0.08 to 0.14 (Deters, Ananda & Selig, AIAA 2014-2151,
 # 2.25 to 9 inch); its middle, as T = C rho A (W R)2: times 4 / pi3
 NOMINAL_THRUST_COEFFICIENT = 0.11 * 4.0 / np.pi**3
+CONSTANT_VOLTAGE = 1e-6  # std over median: a number that stands still, as a bench supply is logged
 CANDIDATES = ("linear", "square root", "quadratic", "thrust map")  # forms of maps from shares, compared by BIC
 MEASURED_SPEEDS = "speeds measured in other flights"  # of the same model, which fix the scale
 KNOWN_SCALES = ("hover speed", "thrust factor")  # keys of the quadrotor configuration, rad/s and N s2/rad2
@@ -89,8 +89,8 @@ def identify_rotor_speeds(
             "train the model on flights of one kind, or give the quadrotor a 'command map'"
         )
     chosen = chosen or {key: used_rows(flight) for key, flight in flights.items()}
-    chosen = rows_within_limits(flights, chosen, notes)
-    operating, reference = _operating_point(flights, chosen, kind, notes)
+    chosen = rows_within_limits(flights, rows_in_free_air(flights, chosen, airframe), notes)
+    operating, reference, steady = _operating_point(flights, chosen, kind, notes)
     point = operating, reference
     made = {k: prepare_flight(f, chosen[k], airframe, masses[k], kind, point) for k, f in flights.items()}
     made = {k: f for k, f in made.items() if f.rows.any()}
@@ -105,6 +105,13 @@ def identify_rotor_speeds(
     for name in names:
         fits[name] = JointFit(name, list(made.values()), airframe, reference is not None)
         fits[name].run(begin)
+        if begin is None and steady and not _shows_voltage(fits[name]):
+            notes.append(
+                "the battery voltage hardly varies: the map from command to rotor speed is identified without it"
+            )
+            reference = None
+            fits[name] = JointFit(name, list(made.values()), airframe, False)
+            fits[name].run()
         begin = begin if begin is not None else fits[name]
     share = next(iter(fits.values())).independent
     scores = {n: fit.criterion(share) for n, fit in fits.items()}
@@ -123,6 +130,12 @@ def identify_rotor_speeds(
     drive["geometry"] = {axis: _places(fit, axis, drive["factors"][axis]) for axis in JOINT_AXES[1:]}
     _note_errors(drive, notes)
     return drive, notes
+
+
+def _shows_voltage(fit: JointFit) -> bool:
+    """Whether the flights show that speeds follow the voltage: its exponent lowers BIC."""
+    place = fit.names.index("voltage exponent")
+    return bool(fit.x[place] ** 2 > np.log(fit.count) * fit.covariance[place, place])
 
 
 def _with_warm_up(fit: JointFit, notes: list[str]) -> JointFit:
@@ -159,8 +172,9 @@ def _places(fit: JointFit, axis: str, factor: Mapping[str, float]) -> dict[str, 
 
 def _operating_point(
     flights: Mapping[str, pd.DataFrame], chosen: Mapping[str, np.ndarray], kind: str, notes: list[str]
-) -> tuple[float, float | None]:
-    """Median command of the used rows, and the median voltage, V; None where a flight logs none or it never varies."""
+) -> tuple[float, float | None, bool]:
+    """Median command of the used rows; the median voltage, V, None where a flight logs none or it never varies; whether
+    it varies so little that the flights have to show its exponent. One percent of voltage is two of thrust."""
     commands = np.concatenate([raw_commands(f, kind)[chosen[k]].ravel() for k, f in flights.items()])
     operating = float(np.median(commands)) if len(commands) else 0.0
     if not operating > 0.0:
@@ -169,13 +183,14 @@ def _operating_point(
             "columns and units"
         )
     if not _log_voltage(flights, notes):
-        return operating, None
+        return operating, None, False
     volts = [raw_volts(f)[chosen[k]] for k, f in flights.items()]
     median = float(np.median(np.concatenate(volts)))
-    if not median > 0.0 or max(np.std(v) for v in volts if len(v)) < STEADY_VOLTAGE * median:
-        notes.append("the battery voltage hardly varies: the map from command to rotor speed is identified without it")
-        return operating, None
-    return operating, median
+    varies = max(float(np.std(v)) for v in volts if len(v)) / median if median > 0.0 else 0.0
+    if not varies > CONSTANT_VOLTAGE:
+        notes.append("the battery voltage never varies: the map from command to rotor speed is identified without it")
+        return operating, None, False
+    return operating, median, varies < STEADY_VOLTAGE
 
 
 def _log_voltage(flights: Mapping[str, pd.DataFrame], notes: list[str]) -> bool:
@@ -187,34 +202,6 @@ def _log_voltage(flights: Mapping[str, pd.DataFrame], notes: list[str]) -> bool:
             "the map from command to rotor speed is identified without it"
         )
     return not silent
-
-
-def rows_within_limits(
-    flights: Mapping[str, pd.DataFrame], chosen: Mapping[str, np.ndarray], notes: list[str]
-) -> dict[str, np.ndarray]:
-    """The chosen rows, without those where a command is at its limit or was so within AFTER_LIMIT before.
-
-    Beyond the limit the log does not hold what the controller asked for, and a supply that cannot carry full commands
-    sags. Notes report how many rows are left out. Of commanded speeds without shares no limit is known.
-    """
-    found = dict(chosen)
-    for key, flight in flights.items():
-        commands, t = raw_commands(flight, "share"), flight["t"].to_numpy(float)
-        if commands is None:
-            continue
-        full = commands >= SATURATED_SHARE
-        memory = max(round(AFTER_LIMIT / float(np.median(np.diff(t)))), 1)
-        last = np.maximum.accumulate(np.where(full.any(axis=1), np.arange(len(t)), -memory - 1))
-        rows = chosen[key] & (np.arange(len(t)) - last > memory)
-        lost = float(full[chosen[key]].any(axis=1).mean()) if chosen[key].any() else 0.0
-        if lost > 0.01:
-            most = int(np.argmax(full[chosen[key]].mean(axis=0))) + 1
-            notes.append(
-                f"flight {key}: a command is at its limit in {100 * lost:.0f} % of the rows, most often that of rotor "
-                f"{most}; these rows do not enter the map from commands to rotor speeds"
-            )
-        found[key] = rows
-    return found
 
 
 def _as_plain(

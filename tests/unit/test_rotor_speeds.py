@@ -20,6 +20,7 @@ from quasi.identification.flight_scatter import factor_error, variance_between
 from quasi.identification.geometry import contradicting_places
 from quasi.identification.joint_fit import JointFit, prepare_flight
 from quasi.identification.map_error import add_map_error
+from quasi.identification.rotor_rows import rows_in_free_air
 from quasi.identification.rotor_speeds import (
     CANDIDATES,
     actuators_of,
@@ -33,7 +34,7 @@ from quasi.importing.command_units import recognise_unit, scale_commands
 from quasi.model.model import Model
 from quasi.sensor_limits import find_missing_sources, find_silent_rotors
 from quasi.terms import rotor_map
-from quasi.terms.rotor_map import FORMS, delayed, drive_of_map, lagged, shape, speeds_of, steady_speeds
+from quasi.terms.rotor_map import FORMS, delayed, drive_of_map, lagged, shape, speeds_of, steady_speeds, used_rows
 
 MASSES = {"a": MASS, "b": MASS}
 
@@ -201,6 +202,47 @@ def test_without_voltage_the_map_has_none_and_says_so(flights):
     drive, notes = identify_rotor_speeds({"a": table}, to_draw(), MASSES)
     assert drive["voltage exponent"] is None and drive["reference voltage"] is None
     assert any("no battery voltage" in n for n in notes)
+
+
+@pytest.mark.parametrize(("sag", "exponent"), [(0.45, EXPONENT), (0.0, None)])
+def test_a_voltage_that_varies_little_counts_where_the_thrust_shows_it(sag, exponent):
+    flights = {k: flight(n, 25.0, sag=sag) for k, n in (("a", 1), ("b", 2))}
+    assert np.std(flights["a"]["battery_voltage"]) < 0.01 * 15.0
+    drive, notes = identify_rotor_speeds(flights, to_draw(), MASSES)
+    if exponent is None:
+        assert drive["voltage exponent"] is None and any("never varies" in n for n in notes)
+    else:
+        assert drive["voltage exponent"]["value"] == pytest.approx(exponent, abs=0.15)
+
+
+def test_noise_of_a_steady_voltage_makes_no_exponent():
+    table = flight(1, 25.0, sag=0.0)
+    table["battery_voltage"] += 0.01 * np.random.default_rng(0).standard_normal(len(table))
+    drive, notes = identify_rotor_speeds({"a": table}, to_draw(), MASSES)
+    assert drive["voltage exponent"] is None and drive["reference voltage"] is None
+    assert any("hardly varies" in n for n in notes)
+
+
+def test_take_off_and_landing_near_the_floor_do_not_bend_the_map(flights):
+    frame, near = to_draw(), {}
+    for key, table in flights.items():
+        # the first and the last second next to the floor, where a fifth more thrust lets commands fall
+        t, rest = table["t"].to_numpy(), table.iloc[:20].assign(in_flight=0.0, valid=0.0)
+        low = (t < 1.0) | (t > t[-1] - 1.0)
+        lowered = {f"command{i}_raw": np.where(low, 0.85, 1.0) * table[f"command{i}_raw"] for i in range(1, 5)}
+        flown = table.assign(z=np.where(low, -0.5, -10.0) * frame.radius, **lowered)
+        made = pd.concat([rest.assign(z=0.0), flown, rest.assign(z=0.0)], ignore_index=True)
+        near[key] = made.assign(t=np.arange(len(made)) * 0.01)
+    rows = rows_in_free_air(near, {k: used_rows(f) for k, f in near.items()}, frame)
+    for key, table in near.items():
+        np.testing.assert_array_equal(rows[key], used_rows(table) & (table["z"] < -frame.radius))
+    drive, _ = identify_rotor_speeds(near, frame, MASSES)
+    for axis in ("Mx", "My"):
+        assert drive["factors"][axis]["value"] == pytest.approx(1.0, abs=0.1)
+    # a flight that stays low keeps its rows
+    low = {"a": near["a"].assign(z=-0.5 * frame.radius * (near["a"]["in_flight"] > 0.5))}
+    used = {"a": used_rows(low["a"])}
+    np.testing.assert_array_equal(rows_in_free_air(low, used, frame)["a"], used["a"])
 
 
 def test_flights_that_are_too_short_are_refused(flights):
