@@ -5,6 +5,7 @@ import pytest
 from log_formats import ULOG_FORMATS, made_flight, ulog_of
 from recordings import SHARED
 
+from quasi.importing.clocks.filter_delays import delay
 from quasi.importing.flight import import_flight
 from quasi.importing.onboard_log import read_onboard
 
@@ -48,6 +49,22 @@ def test_a_position_with_a_damaged_flag_is_not_known(tmp_path, flight):
     path = written(tmp_path, flight, {topic: ULOG_FORMATS[topic]}, add, [n for n in ULOG_FORMATS if n != topic])
     position = read(path).series["onboard position, velocity (vehicle_local_position)"].matrix(("x", "y", "z"))
     assert list(np.flatnonzero(np.isnan(position).any(axis=1))) == [500]
+
+
+def test_the_delay_of_filters_on_board_is_no_lag_of_other_sources(tmp_path, flight):
+    topic, hertz = "vehicle_angular_velocity", 30.0
+    late = delay("biquad", hertz)
+
+    def add(log, k, t):
+        rates = [np.interp(flight.t[k] - late, flight.t, r) for r in flight.rates.T]
+        log.data(topic, "QQ3f", t + 100, t, *rates)
+
+    fields = {topic: "uint64_t timestamp;uint64_t timestamp_sample;float[3] xyz"}
+    path = written(tmp_path, flight, fields, add, parameters={"IMU_GYRO_CUTOFF": hertz})
+    log = read(path, **{"log topics": {"body rates": topic}})
+    attitude = log.series["onboard attitude (vehicle_attitude)"]
+    at = np.rint(attitude.t * 250).astype(int)
+    assert np.abs(attitude.t - flight.t[at]).max() < 2e-4
 
 
 @pytest.mark.parametrize("version", POSES)

@@ -99,18 +99,25 @@ def in_long_runs(same: np.ndarray, longest: int) -> np.ndarray:
 
 
 def correct_source_lags(
-    raw: Sequence[TableSource], main: TableSource, about: dict[str, dict[str, Any]], path: Path, notes: list[str]
-) -> None:
+    raw: Sequence[TableSource], main: TableSource, about: dict[str, dict[str, Any]], path: Path, notes: list[str],
+    gyro_late: float = 0.0,
+) -> None:  # fmt: skip
     """Estimate how late the main source is stamped against each other one, and move the other where that is certain.
+
+    gyro_late  s by which filters on board delay a gyro of the main source: no lag of its stamps
 
     Sources with the same declared stamps came in the same messages and share one lag, the most precise of theirs.
     Sources without declared stamps have a lag each. `about` gets "lag of main stamps" by source name.
     """
+    turning = main
+    if gyro_late and "p" in main.values:
+        turning = copy(main)
+        turning.t = main.t - gyro_late
     late = [r for r in raw if r is not main and not r.source.capture and not _same_stamps(r, main)]
     while late:
         same = [r for r in late if r is late[0] or _same_stamps(r, late[0])]
         late = [r for r in late if r not in same]
-        found = [(r, *_motion_lag(r, main)) for r in same]
+        found = [(r, *_motion_lag(r, turning)) for r in same]
         found = [f for f in found if f[1] is not None]
         for r, clock, relation in found:
             about[r.source.name]["lag of main stamps"] = {
@@ -129,7 +136,7 @@ def correct_source_lags(
             continue
         about[r.source.name]["lag of main stamps"]["applied"] = True
         if relation == BY_ROTOR_SPEEDS:
-            clock = _by_yaw(r, main, clock)
+            clock = _by_yaw(r, turning, clock)
             about[r.source.name]["lag of main stamps"] |= {"value": clock.lag, "std": clock.lag_std}
         for moved in same:
             moved.t = moved.t + clock.lag

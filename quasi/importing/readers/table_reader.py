@@ -72,6 +72,7 @@ def read_signals(
     electrical: bool,
     notes: list[str],
     known: Sequence[str] = (),
+    gyro_late: float = 0.0,
 ) -> Recording:
     """Bring the columns of a log to standard quantities, units and axes, and its sources to one clock.
 
@@ -79,6 +80,7 @@ def read_signals(
     poles       magnets of a motor, or None where the configuration does not say
     electrical  whether a rotor speed is an electrical one
     known       further columns of the log, for messages
+    gyro_late   s by which filters on board delay the gyro, which import takes off later
     Returns and raises as `read_table_log`.
     """
     known = known or signals.columns
@@ -104,7 +106,7 @@ def read_signals(
     for r in raw:
         r.to_standard_axes()
         about[r.source.name]["spikes removed"] = r.remove_spikes(path, notes)
-    correct_source_lags(raw, main, about, path, notes)
+    correct_source_lags(raw, main, about, path, notes, gyro_late)
     for r in raw:
         r.world_to_body(raw, path)
     felt = next((r for r in raw if "ax" in r.values and not r.source.capture), None)

@@ -44,10 +44,12 @@ def topics_reader(
         signals = log.samples_of(plan.names, notes)
         known_names = [column for topic in log.topics.values() for column in topic.columns]
         electrical = "eRPM" in str(mapping)
-        recording = read_signals(request.path, signals, plan, request.poles, electrical, notes, known_names)
+        late = {} if delays is None else delays(log, mapping)
+        gyro_late = late["gyro"]["value"] if late else 0.0
+        recording = read_signals(request.path, signals, plan, request.poles, electrical, notes, known_names, gyro_late)
         recording.metadata.update(log.facts)
-        if delays is not None:
-            recording.metadata["filter delays"] = delays(log, mapping)
+        if late:
+            recording.metadata["filter delays"] = late
         return recording
 
     return Reader(name, kinds, read, (controller,))
