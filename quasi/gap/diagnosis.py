@@ -39,7 +39,7 @@ from quasi.gap.levels.rollouts.confirmation import Settled
 from quasi.gap.levels.rollouts.open_loop import HORIZON, MOVED_BY
 from quasi.gap.levels.trim_evidence import (
     contradicted_by_trim,
-    probably_changed,
+    is_unanswered,
     trim_entries,
     unnamed_change,
     why_rotor_is_enough,
@@ -284,7 +284,7 @@ def _document(
         *drive_losses(extension.gap),
     ]
     left = [*lists["unexplained"], *([trimmed] if trimmed else [])]
-    likely = probably_changed(case.trim.document)
+    likely = is_unanswered({"hover trim": case.trim.document, "effects": effects, "ties": ties})
     return {
         "schema": SCHEMA,
         "gap": extension.gap,
@@ -430,12 +430,13 @@ def verdict_of(
 
     unable   why forces and moments could not be asked: then nothing found is no agreement
     limited  whether axes were left out or the extension makes something worse: then nothing is fully explained
-    likely   whether the trim shows a change that is likelier than none: then nothing found is no agreement
+    likely   whether the trim shows a change that is likelier than none and that nothing named answers: then nothing
+             found is no agreement, and nothing is fully explained
     A sensor finding that changes neither forces nor simulations ("explains" false) explains nothing.
     """
     explaining = [e for e in effects if e.get("explains", True)]
     if explaining:
-        return "partly explained" if ties or left or unable or limited else "explained"
+        return "partly explained" if ties or left or unable or limited or likely else "explained"
     if ties:
         return "partly explained"
     return "unexplained" if left else "not judged" if unable or likely else "agrees"

@@ -114,6 +114,13 @@ def probably_changed(trim: Mapping[str, Any]) -> bool:
     return trim.get("word") == "open" and max(shares, key=shares.get) not in ("healthy", "unexplained")
 
 
+def is_unanswered(diagnosis: Mapping[str, Any]) -> bool:
+    """Whether the trim shows a change that is likelier than none, and what is named is of sensors alone, which is no
+    reason for it."""
+    named = [*diagnosis["ties"], *(e for e in diagnosis["effects"] if e.get("level") != "sensors")]
+    return not named and probably_changed(diagnosis.get("hover trim") or {})
+
+
 def is_undecided(diagnosis: Mapping[str, Any]) -> bool:
     """Whether a diagnosis is not judged although all was asked: its trim shows a change that is likelier than none."""
     unjudged = diagnosis.get("verdict") == "not judged" and not diagnosis.get("unable")

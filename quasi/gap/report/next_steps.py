@@ -6,7 +6,7 @@ from typing import Any
 from quasi.gap.effect import Effect
 from quasi.gap.flights.covariates import UNPLACED
 from quasi.gap.levels.corrections import corrected_at_import, uncorrected
-from quasi.gap.levels.trim_evidence import is_undecided, probably_changed
+from quasi.gap.levels.trim_evidence import is_unanswered, is_undecided
 from quasi.gap.report.names import alternatives, listed, name_of
 from quasi.gap.report.wording import CHANNEL_NAMES, parameters_of, ranges_of, unasked, words_of
 
@@ -46,7 +46,7 @@ def steps(diagnosis: Mapping[str, Any], known: Mapping[str, Effect]) -> list[str
         for finding in diagnosis.get("findings", ())
         if finding["id"] == "trim"
     ]
-    if probably_changed(diagnosis.get("hover trim") or {}) and not effects and not diagnosis["ties"]:
+    if is_unanswered(diagnosis):
         sentences.append(
             "The trim in steady flight has probably changed. These flights are too few to be sure: fly the compared "
             "set-up in one more session."

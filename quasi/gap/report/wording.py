@@ -9,7 +9,7 @@ from quasi.gap.catalogue import catalogue
 from quasi.gap.effect import Effect
 from quasi.gap.flights.covariates import EVERYWHERE, UNITS_AT, UNPLACED
 from quasi.gap.levels.corrections import uncorrected
-from quasi.gap.levels.trim_evidence import is_undecided
+from quasi.gap.levels.trim_evidence import is_unanswered, is_undecided
 from quasi.gap.report.names import alternatives, listed, name_of
 from quasi.gap.report.shares import interval_of, percent, reaches_floor, separability_of, share_of, support_of
 
@@ -422,7 +422,7 @@ def summed_up(diagnosis: Mapping[str, Any], known: Mapping[str, Effect]) -> list
     texts += [rollout_sentence(diagnosis), *worse] if effects else []
     nothing, missing = not texts, asked_in_vain(diagnosis, known)
     unjudged = diagnosis.get("verdict") == "not judged" and not is_undecided(diagnosis)
-    if is_undecided(diagnosis):
+    if is_undecided(diagnosis) or (effects and is_unanswered(diagnosis)):
         missing.insert(0, f"A change is likelier than none, but not certain. {diagnosis['hover trim']['text']}")
     if nothing and unjudged:
         why = unasked(diagnosis, known)
