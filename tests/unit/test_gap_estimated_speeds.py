@@ -189,6 +189,19 @@ def test_the_extended_model_holds_the_exponent(ground):
     np.testing.assert_allclose(after / before, (15.0 / REFERENCE) ** 0.3)
 
 
+@pytest.mark.parametrize(("level", "ratio"), [(-1.15, 0.5), (3.0, 2.0), (0.1, 1.1)])
+def test_a_level_that_flights_hardly_show_makes_a_model_within_its_range(ground, level, ratio):
+    evidence = evidence_of(ground, volts=(16.05, 15.95))
+    effect, vehicle = sag_of(ground, evidence), vehicle_of(ground, 0.433)
+    extended = Model(extend(ground, [(effect, {"exponent": 0.1, "level": level})], vehicle, "more", "test"))
+    expected = ratio * (evidence.columns["battery_voltage"] / REFERENCE) ** 0.1
+    np.testing.assert_allclose(
+        correct_columns(extended, evidence.columns)["w1"], evidence.columns["w1"] * expected, rtol=1e-6
+    )
+    whole = whole_of(effect, evidence, vehicle, {"exponent": 0.1, "level": level})
+    np.testing.assert_allclose(shown(extended, ground, evidence), evidence.predicted + whole, atol=1e-9)
+
+
 def test_a_model_that_is_extended_already_is_asked_beyond_it(ground):
     evidence = evidence_of(ground, 0.3)
     effect, vehicle = (

@@ -152,8 +152,12 @@ def sag_of_forces(effect: Effect, model: Model, reference: float) -> Effect:
         parts = {"exponent": evidence.speeds * np.log(ratio)[:, None], "level": evidence.speeds}
         return {name: np.einsum("nij,nj->ni", slope, part) for name, part in parts.items()}
 
+    def scale_of(values: Values) -> float:
+        """Estimated over true speed: a level that the flights hardly show may lie outside its range."""
+        return 1.0 / float(np.clip(1.0 + values["level"], *SPEED_LEVELS))
+
     def corrected(evidence: Evidence, values: Values) -> Evidence:
-        turned = correct_rotor_speeds(evidence.columns, 0.0, 1.0 / (1.0 + values["level"]))
+        turned = correct_rotor_speeds(evidence.columns, 0.0, scale_of(values))
         turned = correct_estimated_speeds(turned, OfMap(values["exponent"], reference))
         return reread(evidence, {n: turned[n] for n in (*ROTORS, *(f"{w}_dot" for w in ROTORS)) if n in turned})
 
@@ -162,7 +166,7 @@ def sag_of_forces(effect: Effect, model: Model, reference: float) -> Effect:
 
     def extension(values: Values, _: Vehicle, __: Model) -> Extension:
         actuators = {"voltage exponent": own + values["exponent"], "reference voltage": reference}
-        scale = {"rotor speed scale": 1.0 / (1.0 + values["level"])} if values["level"] else {}
+        scale = {"rotor speed scale": scale_of(values)} if values["level"] else {}
         return Extension(actuators={**actuators, **scale})
 
     known: dict[str, Any] = effect.parameters["exponent"]._asdict()
