@@ -45,9 +45,24 @@ def test_what_pulls_at_the_vehicle_is_not_taken_for_an_arm(tmp_path):
     flights = process(None)
     factors = hover_factors(nominal(120.0, 0.0).vehicle.physics)
     model = simple_model(airframe, factors["thrust"], factors["torque"], Mx={"p": -1e-4}, My={"q": -1e-4})
-    (drawn_off, _), (arm, std) = (felt(flights, model, "always", some, 0.01) for some in ({}, catalogue()))
+    (drawn_off, *_), (arm, std, own) = (felt(flights, model, "always", some, 0.01) for some in ({}, catalogue()))
     assert np.linalg.norm(arm - true) < 0.4 * np.linalg.norm(drawn_off - true)
     assert np.all(np.abs(arm - true) < 3.0 * std)
+    # terms of differences between the rotors make up what an arm along z feels, and leave little of it
+    turning = {"Fx": {"U_q": -1e-8, "q": 1e-3}, "Fy": {"U_p": 1e-8, "p": 1e-3}}
+    held = simple_model(airframe, factors["thrust"], factors["torque"], Mx={"p": -1e-4}, My={"q": -1e-4}, **turning)
+    left = felt(flights, held, "always", {}, 0.01)[2]
+    assert np.all(own > 0.5) and left[2] < 0.3 and np.all(left[:2] > 0.5)
+
+
+def test_what_the_terms_of_the_model_hold_of_an_arm_says_little_of_it():
+    between, forces, std = np.array([0.012, -0.006, -0.018]), np.array([0.012, -0.006, -0.010]), np.full(3, 1e-3)
+    believed = weigh(between, STD, forces, std)
+    assert abs(believed.markers[2]) > 3.0 * believed.markers_std[2]
+    points = weigh(between, STD, forces, std, np.array([0.7, 0.7, 0.05]))
+    assert points.is_decided
+    np.testing.assert_array_equal(points.markers, 0.0)
+    np.testing.assert_allclose(points.imu, between, atol=1e-3)
 
 
 @pytest.mark.parametrize("arm", [(0.01, 0.0, 0.0), (0.0, -0.004, 0.02)])
@@ -100,7 +115,9 @@ def test_forces_that_cannot_tell_leave_a_tie_with_both_ways_to_read_it(monkeypat
     arm = {n: {"value": v, "std": 5e-4, "unit": "m"} for n, v in zip("xyz", (0.01, 0.0, -0.02))}
     level = Level("sensors", effects=[{"id": "imu_lever_arm", "since": "always", "parameters": arm}])
     blunt = np.full(3, 0.01)
-    monkeypatch.setattr("quasi.gap.levels.imu_or_markers.felt", lambda *_: (np.array([0.004, 0.001, -0.008]), blunt))
+    monkeypatch.setattr(
+        "quasi.gap.levels.imu_or_markers.felt", lambda *_: (np.array([0.004, 0.001, -0.008]), blunt, np.ones(3))
+    )
     settle(level, [], None, {}, 0.01)
     assert not level.effects
     (tie,) = level.ties
@@ -124,6 +141,6 @@ def test_an_arm_of_all_flights_is_no_part_of_the_one_that_changed(monkeypatch):
     for since, true, others in (
         ("changed", changed, []), ("changed", changed, ["always"]), ("always", always, ["changed"]),
     ):  # fmt: skip
-        arm, std = felt(flown, BASE, since, {}, 0.01, others)
+        arm, std, _ = felt(flown, BASE, since, {}, 0.01, others)
         assert np.all(np.abs(arm - true) < 4.0 * std), (since, others, arm, std)
         assert np.all(std < 4e-3)

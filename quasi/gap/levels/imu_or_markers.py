@@ -29,12 +29,14 @@ from quasi.gap.levels.sensors.columns import XYZ
 from quasi.gap.profile import Profile
 from quasi.gap.selection import select_causes
 from quasi.gap.statistics.candidates import Candidate
+from quasi.gap.statistics.mixed import MixedModel
 from quasi.model.model import Model
 
 IMU, OFFSET, CG = "imu_lever_arm", "marker_offset", "cg_offset"
 DECIDED = 9.0  # difference of squared standard errors, three of them, from which one explanation wins
-TAKEN_UP = 0.1  # share of an arm's forces that the terms of a model may hold by chance
+TAKEN_UP = 0.1  # share of an arm's forces that the terms of a model may hold by chance, over the share that they leave
 ACROSS = 0.04  # share of the whole arm that they may make up along another axis
+LEAST_OWN = 1e-3  # of those forces that the terms leave, rms; below it rounding decides
 BREAKER = "sharp turns about all axes, compared with a model that was identified from other flights"
 
 
@@ -60,13 +62,17 @@ class Points(NamedTuple):
         return bool((np.abs(self.apart) > DECIDED).any())
 
 
-def weigh(between: np.ndarray, between_std: np.ndarray, forces: np.ndarray, forces_std: np.ndarray) -> Points:
+def weigh(
+    between: np.ndarray, between_std: np.ndarray, forces: np.ndarray, forces_std: np.ndarray,
+    own: np.ndarray | float = 1.0,
+) -> Points:  # fmt: skip
     """Share what the comparison of sensors sees between the two points, by what the forces see of one of them.
 
     between (3,) IMU minus tracked point, m; forces (3,) IMU minus cg, m. Component by component either the IMU or the
     markers are elsewhere, both where neither alone fits; an undecided component follows the decided ones.
+    own  see `felt`: an error of the model's terms counts the more, the less of the arm's forces is the arm's alone
     """
-    sharp = np.sqrt(forces_std**2 + (TAKEN_UP * between) ** 2 + ACROSS**2 * (between @ between))
+    sharp = np.sqrt(forces_std**2 + (TAKEN_UP / own * between) ** 2 + ACROSS**2 * (between @ between))
     only_imu = (between - forces) ** 2 / (between_std**2 + sharp**2)  # the best common value left free
     only_markers = (forces / sharp) ** 2
     both = (only_imu > DECIDED) & (only_markers > DECIDED)
@@ -115,13 +121,13 @@ def _settle_arm(
 ) -> None:
     """`settle` for one arm: that of all flights, or that of the compared ones beyond it. others  see `felt`"""
     try:
-        forces, std = felt(flights, model, arm["since"], effects, rate, others)
+        forces, std, own = felt(flights, model, arm["since"], effects, rate, others)
     except DataError as error:
         level.notes.append(f"whether the IMU or the markers sit elsewhere was not asked of the forces: {error}")
-        forces, std = np.zeros(3), np.full(3, np.inf)
+        forces, std, own = np.zeros(3), np.full(3, np.inf), np.ones(3)
     between = np.array([arm["parameters"][n]["value"] for n in XYZ])
     between_std = np.array([arm["parameters"][n]["std"] for n in XYZ])
-    points = weigh(between, between_std, forces, std)
+    points = weigh(between, between_std, forces, std, own)
     other = {
         **arm,
         "id": OFFSET,
@@ -176,8 +182,9 @@ FELT = Effect(
 def felt(
     flights: Sequence[Flown], model: Model, since: str, effects: Mapping[str, Effect], rate: float,
     others: Sequence[str] = (),
-) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
-    """IMU minus cg (3,) m by the forces, with standard errors (3,); the model's own terms are fitted anew with it.
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:  # fmt: skip
+    """IMU minus cg (3,) m by the forces, with standard errors (3,), and the share (3,) of the arm's forces, rms, that
+    the model's own terms, which are fitted anew with it, cannot make up.
 
     since  "always": one arm in all flights; "changed": of the compared ones, beyond what all have
     effects  causes by id; causes of forces other than the arm are taken out, since a tether, say, would bias the arm;
@@ -200,7 +207,17 @@ def felt(
     given = _other_causes(study, asked, {n: e.limits(vehicle) for n, e in asked.items()}, compared, rate, [arm, *rest])
     mixed = study.mixed(range(len(seen)), compared)
     test = mixed.test(arm, [*given, *rest], [IMU] if since == "changed" else [])
-    return np.asarray(test.value), np.asarray(test.std)
+    return np.asarray(test.value), np.asarray(test.std), _left_by_terms(mixed, arm)
+
+
+def _left_by_terms(mixed: MixedModel, arm: Candidate) -> np.ndarray:
+    columns, terms = mixed.columns.of(arm), mixed.columns.shared
+    total = np.sum(np.asarray(mixed.grams)[mixed.offered(arm.since)], axis=0)
+    size = np.sqrt(np.maximum(np.diag(total), 1e-300))
+    total = total / np.outer(size, size)
+    cross = total[np.ix_(terms, columns)]
+    made = np.einsum("ij,ij->j", cross, np.linalg.pinv(total[np.ix_(terms, terms)], hermitian=True) @ cross)
+    return np.sqrt(np.clip(1.0 - made, LEAST_OWN**2, 1.0))
 
 
 def _other_causes(
