@@ -199,7 +199,9 @@ def _extend(given: Prepared, forces: Forces, name: str) -> Extension:
     halves = split_flights.judge(
         case.held, case.tables, alike, case.model, extended, causes, case.vehicle, horizons
     )  # fmt: skip
-    judged = scored(case.model, extended, found, kept, case.held, yardsticks, rolled, given.lower, document)
+    judged = scored(
+        case.model, extended, found, kept, case.held, yardsticks, rolled, given.lower, given.levels["drive"]
+    )  # fmt: skip
     left = case.left(extended, kept, study, anew, given.roles)
     return Extension(document, extended, anew, left, rolled, halves, *judged)
 

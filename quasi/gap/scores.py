@@ -11,19 +11,19 @@ from quasi.gap.levels.forces.error_reduction import Squares, after, before, remo
 from quasi.gap.levels.forces.identify import Found
 from quasi.gap.levels.rollouts.error_reduction import Yardsticks
 from quasi.gap.levels.rollouts.open_loop import WITH_COMMANDS
-from quasi.gap.levels.sensors_and_drive import judged
+from quasi.gap.levels.sensors_and_drive import drive_errors, sensors_judged
 from quasi.gap.materiality import Cause
-from quasi.model.extensions import drive_of
 from quasi.model.model import AXES, Model
 
 
 def scored(
     model: Model, extended: Model, found: Found | None, kept: Sequence[Cause], held: Sequence[Evidence],
     yardsticks: Yardsticks, rolled: Mapping[str, Any], lower: tuple[Sequence[Flown], Sequence[Flown]],
-    document: Mapping[str, Any],
+    drive: Mapping[str, Any],
 ) -> tuple[dict[str, Any], dict[str, Any], tuple[Squares, Squares, np.ndarray] | None]:  # fmt: skip
     """Root mean squares before, after and at the floor by level, channel and horizon; shares of W with intervals; and
-    the squared errors of W after, at the floor, and its mean. yardsticks  what the gain is compared with"""
+    the squared errors of W after, at the floor, and its mean. yardsticks  what the gain is compared with; lower
+    held-out flights before and after calibration; drive  that level as the calibration holds it"""
     gap: dict[str, Any] = {k: {} for k in ("before", "after", "noise_floor", "best_wrong_cause", "generic_polynomial")}
     for key in gap:
         gap[key] |= rolled["rms"].get(key, {})
@@ -50,15 +50,17 @@ def scored(
                     scores["best wrong cause removed"] = removed(old, other, *best[1:], new)
     first, last = lower
     if first:
-        start = judged(first, model.document)
-        stays = _stay(first, last) and drive_of(document) == drive_of(model.document)
-        for word, table in (("before", start), ("after", start if stays else judged(last, document))):
-            for level, channels in table.items():
-                mean = {c: float(np.sqrt(np.mean(t["before"] ** 2))) for c, t in channels.groupby("channel")}
-                gap[word][level] = {c: {"0": v} for c, v in mean.items()}
-                if word == "after":
-                    least = {c: float(np.sqrt(np.mean(t["floor"] ** 2))) for c, t in channels.groupby("channel")}
-                    gap["noise_floor"][level] = {c: {"0": min(v, mean[c])} for c, v in least.items()}
+        start = sensors_judged(first)
+        for word, table in (("before", start), ("after", start if _stay(first, last) else sensors_judged(last))):
+            if table is None:
+                continue
+            mean = {c: float(np.sqrt(np.mean(t["before"] ** 2))) for c, t in table.groupby("channel")}
+            gap[word]["sensors"] = {c: {"0": v} for c, v in mean.items()}
+            if word == "after":
+                least = {c: float(np.sqrt(np.mean(t["floor"] ** 2))) for c, t in table.groupby("channel")}
+                gap["noise_floor"]["sensors"] = {c: {"0": min(v, mean[c])} for c, v in least.items()}
+        for word, speeds in drive_errors(drive, first).items():
+            gap[word]["drive"] = {w: {"0": v} for w, v in speeds.items()}
     if WITH_COMMANDS in rolled["wrong"]:
         scores["best wrong cause with commands"] = rolled["wrong"][WITH_COMMANDS]
     return gap, scores, best

@@ -15,6 +15,7 @@ from quasi.gap.flights.residual_tables import spectra
 from quasi.gap.levels.drive.findings import _odd_rotors, weak
 from quasi.gap.levels.drive.fit import Belief, DriveFit, fit_drive
 from quasi.gap.levels.drive.identify import CATALOGUE, examine
+from quasi.gap.levels.sensors_and_drive import drive_errors
 
 RATE, SECONDS, FINER = 500.0, 8.0, 2
 LAG, AGE, GAIN, HOVER = 0.02, 0.002, 4000.0, 0.45
@@ -98,6 +99,15 @@ def test_a_lag_that_doubled_is_the_lag():
     assert not level.ties
     assert (effect["id"], effect["since"]) == ("motor_lag", "changed")
     assert effect["parameters"]["time_constant"]["value"] == pytest.approx(2.0 * LAG, rel=0.1)
+
+
+def test_held_out_flights_are_no_standard_of_their_own():
+    level = compared_with_references(lag=2.0 * LAG)
+    kept = {"effects": level.effects, "ties": level.ties, "found on": {"healthy": level.healthy}}
+    errors = drive_errors(kept, [flown(4, lag=2.0 * LAG)])
+    for rotor, before in errors["before"].items():
+        assert before > 1.1 * errors["noise_floor"][rotor]
+        assert errors["after"][rotor] < 1.02 * errors["noise_floor"][rotor]
 
 
 def model_of(flights, trained=(), lag=None):

@@ -215,14 +215,24 @@ def plain(level: Level) -> dict[str, Any]:
     }
 
 
-def judged(flights: Sequence[Flown], model: Mapping[str, Any], effects: Sequence[str] = ()) -> dict[str, pd.DataFrame]:
-    """{"sensors", "drive": table of "channels"} of flights without a search: rms "before" and "floor" of each."""
-    options = {"false alarm rate": 0.01, "effects": list(effects)}
-    found = {}
-    for level in (sensor_level.examine(flights, options), drive_level.examine(flights, model, options)):
-        if "channels" in level.tables:
-            found[level.level] = level.tables["channels"]
-    return found
+def sensors_judged(flights: Sequence[Flown]) -> pd.DataFrame | None:
+    """Table of "channels" of flights without a search of sensors: rms "before" and "floor" of each, if there are."""
+    return sensor_level.examine(flights, {"false alarm rate": 0.01, "effects": []}).tables.get("channels")
+
+
+def drive_errors(level: Mapping[str, Any], flights: Sequence[Flown]) -> dict[str, dict[str, float]]:
+    """Errors of rotor speeds as `drive.held_out.rms_errors` states them, {} where nothing could be compared.
+
+    level  of the drive, see `plain`; flights  held-out ones before any calibration
+    """
+    healthy = level["found on"].get("healthy")
+    if not healthy:
+        return {}
+    corrected = [tie for tie in level["ties"] if corrected_at_import(cause_of(tie), "drive")]
+    try:
+        return drive_held_out.rms_errors([*level["effects"], *corrected], flights, healthy)
+    except DataError:
+        return {}
 
 
 def units_of(table: pd.DataFrame) -> dict[str, tuple[str, str]]:

@@ -9,6 +9,7 @@ from quasi.gap.flights.level import Flown, by_cause, causes_of, values_of
 from quasi.gap.levels.drive.fit import CONSTANTS, Belief, DriveFit, fit_drive
 from quasi.gap.levels.drive.identify import DRIVE_CAUSES, LATE, lag_columns, usual_spreads, whole
 from quasi.gap.materiality import Gain, LinearErrors, each_usable, gains_of, without_nuisances
+from quasi.model.columns import ROTORS
 from quasi.terms.rotor_map import ROTOR_NUMBERS
 
 
@@ -30,6 +31,31 @@ def gains(
 
     sizes = {cause: _deviations(cause, of, reference.values) for cause, of in by_cause(entries).items()}
     return gains_of(each_usable(flights, errors), sizes)
+
+
+def rms_errors(
+    entries: Sequence[Mapping[str, Any]], flights: Sequence[Flown], healthy: Mapping[str, Any]
+) -> dict[str, dict[str, float]]:
+    """Root mean squares, rad/s, of measured minus modelled speeds: {"before", "after", "noise_floor": {rotor: rms}}.
+
+    before  against what the compared flights were compared with; after  with the causes taken off; arguments as for
+    `gains`. A model that does not state at which voltage its map holds has no other standard: flights that are held
+    out must not become their own.
+    Raises DataError when no flight has commands and rotor speeds enough.
+    """
+    reference, kind = Belief(np.array(healthy["values"], float), healthy["voltage"]), healthy["learned"]["kind"]
+    of_rotors = any(f"rotor{i}" in values_of(e) for e in entries for i in ROTOR_NUMBERS)
+    sizes = sum((_deviations(c, of, reference.values) for c, of in by_cause(entries).items()), np.zeros(len(CONSTANTS)))
+
+    def errors(flown: Flown) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        whole_band = fit_drive(flown, kind, reference, of_rotors)
+        fit = whole_band.in_band()
+        away = whole(flown, whole_band) - reference.values
+        return fit.residual + fit.slopes @ away, fit.residual + fit.slopes @ (away - sizes), fit.residual
+
+    parts = zip(*each_usable(flights, errors))
+    means = [np.sqrt(np.mean(np.concatenate(part) ** 2, axis=0)) for part in parts]
+    return {word: dict(zip(ROTORS, rms.tolist())) for word, rms in zip(("before", "after", "noise_floor"), means)}
 
 
 def _without_nuisances(fit: DriveFit, reference: Belief, kind: str, own: set[str]) -> np.ndarray:
