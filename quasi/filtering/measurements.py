@@ -31,8 +31,8 @@ FROZEN = 0.1  # s in flight for which no channel of a sensor changes
 LOST_STD = np.array([3.0, 3.0, 3.0, 20.0, 20.0, 20.0])  # of an IMU sample that was filled in
 
 WARNING = (
-    "could not find drone-specific noise statistics, default values are used: Kalman filtering results will likely not "
-    "estimate noise well"
+    "the quadrotor's file holds no noise statistics of its IMU: default values are used, and larger ones where the "
+    "flight's rest shows more; `quasi noise` measures them"
 )
 
 

@@ -292,7 +292,7 @@ def test_saturated_gyro_is_said_and_attitude_survives(motion, made):
 
 def test_noise_statistics_absent_or_zero_are_said(made):
     bare = filter_flight(*made, quadrotor(), {})
-    assert about(bare.metadata, "could not find drone-specific noise statistics")
+    assert about(bare.metadata, "the quadrotor's file holds no noise statistics of its IMU")
     unasked = filter_flight(*made, quadrotor(), {"use noise statistics in drone config": False})
     assert not about(unasked.metadata, "noise statistics")
     zero = quadrotor(**{"(estimated) imu sensor noise statistics": {**STATISTICS, "ax": {"mean": 0, "std": 0}}})
