@@ -164,6 +164,15 @@ def test_another_unit_or_other_axes_are_named():
         synchronise(yawed, capture, BOTH, 5.0, "flight")
 
 
+def test_an_export_with_another_axis_up_is_named():
+    onboard, capture = sides(3, 3.2, 0.0, seconds=45.0)
+    # x y z of the room and of the body are read as y z x
+    w, x, y, z = capture.quaternion.T
+    tipped = replace(capture, quaternion=np.stack([w, y, z, x], -1), position=capture.position[:, [1, 2, 0]])
+    with pytest.raises(DataError, match=r"go together \(\d+ % explained\) if body rates .* turned by 1[12]\d deg"):
+        synchronise(onboard, tipped, BOTH, 25.0, "flight")
+
+
 def test_attitudes_that_turn_against_each_other_are_not_short():
     onboard, capture = sides(3, 0.0, 0.0)
     mirrored = replace(capture, quaternion=capture.quaternion * np.array([1.0, -1.0, -1.0, -1.0]))

@@ -129,11 +129,14 @@ def synchronise(
     turned = capture.quaternion is not None
     fits = [(r, f) for r, f in refined if _plausible(f, spread, turned)]
     if not fits:
-        scaled = _describe_mix([f for _, f in refined], pairs[0].name, spread, turned)
+        whatever_axes = _fit_whatever_axes(pairs, coarse, least, centre, longest_lag, same_clock)
+        turning, scaled = (
+            _describe_mix(some, pairs[0].name, spread, turned) for some in (whatever_axes, [f for _, f in refined])
+        )
         raise DataError(
             f"{where}: the capture's motion is nowhere like the on-board log's (best correlation {found[0][1]:.2f} at "
-            f"{found[0][0]:+.2f} s); {beyond or scaled}check that both files are of the same flight and the rigid body "
-            "is the right one"
+            f"{found[0][0]:+.2f} s); {turning or beyond or scaled}check that both files are of the same "
+            "flight and the rigid body is the right one"
         )
     fits.sort(key=lambda item: -item[1].explained)
     r, best = fits[0]
@@ -355,6 +358,27 @@ def _refine(
         if second is not None and (result is None or second.explained > result.explained):
             result = second
     return result
+
+
+def _fit_whatever_axes(
+    pairs: Sequence[Pair], coarse: Sequence[tuple[str, Uniform, Uniform]], least: float, centre: float,
+    longest_lag: float, same_clock: bool,
+) -> list[ClockFit]:  # fmt: skip
+    """The fit at the lag at which both turn equally fast, if both have body rates: axes of the room that are not what
+    the reader takes them for exchange the body's axes, so that none of them matches."""
+    rates = [(a, b) for name, a, b in coarse if name in ("p", "q", "r")]
+    if len(rates) < 3:
+        return []
+    first, other = (
+        replace(side[0], values=np.sqrt(sum(u.values**2 for u in side)), good=np.all([u.good for u in side], axis=0))
+        for side in zip(*rates)
+    )
+    lags, height = correlation([(first, other)], least)
+    if not np.isfinite(height).any():
+        return []
+    lag = float(lags[np.nanargmax(height)])
+    found = _refine(pairs, [("size", first, other)], lag, same_clock) if abs(lag - centre) <= longest_lag else None
+    return [] if found is None else [found]
 
 
 def _describe_match_beyond(lags: np.ndarray, height: np.ndarray, centre: float, longest_lag: float) -> str:
