@@ -67,6 +67,12 @@ def test_the_delay_of_filters_on_board_is_no_lag_of_other_sources(tmp_path, flig
     assert np.abs(attitude.t - flight.t[at]).max() < 2e-4
 
 
+def test_four_motors_of_eight_are_no_news(tmp_path, flight):
+    log = read(written(tmp_path, flight, {}, lambda *_: None))
+    assert "command4" in log.series["onboard commands (actuator_motors)"].values
+    assert not [note for note in log.notes if "command5" in note]
+
+
 @pytest.mark.parametrize("version", POSES)
 @pytest.mark.parametrize("topic", ["vehicle_mocap_odometry", "vehicle_visual_odometry"])
 def test_a_pose_from_outside_is_the_capture(tmp_path, flight, version, topic):
