@@ -54,8 +54,9 @@ def rms_errors(
         return fit.residual + fit.slopes @ away, fit.residual + fit.slopes @ (away - sizes), fit.residual
 
     parts = zip(*each_usable(flights, errors))
-    means = [np.sqrt(np.mean(np.concatenate(part) ** 2, axis=0)) for part in parts]
-    return {word: dict(zip(ROTORS, rms.tolist())) for word, rms in zip(("before", "after", "noise_floor"), means)}
+    before, after, floor = (np.sqrt(np.mean(np.concatenate(part) ** 2, axis=0)) for part in parts)
+    found = {"before": before, "after": after, "noise_floor": np.minimum(floor, after)}
+    return {word: dict(zip(ROTORS, rms.tolist())) for word, rms in found.items()}
 
 
 def _without_nuisances(fit: DriveFit, reference: Belief, kind: str, own: set[str]) -> np.ndarray:
