@@ -197,13 +197,15 @@ def settle(
 
 
 def _widen(causes: Sequence[Cause], fitted: output_error.Fitted) -> None:
-    """Widen the standard errors of parameters that output error puts elsewhere until the two estimates agree.
+    """Widen the standard errors of causes that output error puts elsewhere until the two estimates agree.
 
+    A cause's parameters are of one fit: where one is wrong, the others have made up for it.
     Source: Birge, The calculation of errors by the method of least squares, Physical Review 40, 1932.
     """
     for cause, value, std in zip(causes, fitted.values, fitted.std):
-        far = output_error.disagreeing(cause, value, std)
-        cause.std = {n: s * far.get(n, 1.0) for n, s in cause.std.items()}
+        if output_error.disagreeing(cause, value, std):
+            far = output_error.apart(cause, value, std)
+            cause.std = {n: s * max(far.get(n, 1.0), 1.0) for n, s in cause.std.items()}
 
 
 def _honest(result: Confirmation, cause: Cause, flights: float) -> Confirmation:

@@ -206,13 +206,14 @@ def fit(
     return Fitted(values, std, used, notes, bool(np.all(moved < CONVERGED_STEP)), noise)
 
 
-def disagreeing(cause: Cause, value: Values, std: Values) -> dict[str, float]:
-    """{parameter: how many standard errors two estimates of it are apart} where these disagree.
+def apart(cause: Cause, value: Values, std: Values) -> dict[str, float]:
+    """{parameter: how many standard errors two estimates of it are apart}; value, std  by output error"""
+    return {n: float(abs(value[n] - cause.value[n]) / np.hypot(std[n], cause.std[n])) for n in _names(cause)}
 
-    value, std  by output error
-    """
-    apart = {n: abs(value[n] - cause.value[n]) / np.hypot(std[n], cause.std[n]) for n in _names(cause)}
-    return {n: float(times) for n, times in apart.items() if times > DISAGREEMENT}
+
+def disagreeing(cause: Cause, value: Values, std: Values) -> dict[str, float]:
+    """`apart`, of the parameters whose two estimates disagree."""
+    return {n: times for n, times in apart(cause, value, std).items() if times > DISAGREEMENT}
 
 
 def _names(cause: Cause) -> list[str]:
