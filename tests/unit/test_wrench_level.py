@@ -383,6 +383,12 @@ def test_what_was_significant_beside_a_cause_that_axes_contradict_alone_goes_wit
     assert kept == [] and "error of the form" in vague["ground_effect"][1]
     torn["body_drag"] = 1.0
     assert [c.effect.id for c in named("body_drag", "rotor_drag")[0]] == ["body_drag", "rotor_drag"]
+    # the moments of a wind have no known form: a cause that acts on them may be it, one that acts on forces alone not
+    effects |= {n: catalogue()[n] for n in ("wind", "cg_offset", "tether")}
+    torn |= {"wind": 5.0, "cg_offset": 1.0, "tether": 1.0}
+    shared = 0.0
+    kept, vague = named("wind", "cg_offset", "tether")
+    assert [c.effect.id for c in kept] == ["tether"] and "error of the form" in vague["cg_offset"][1]
     # what only axes without a say show is no cause
     heard["rotor_drag"] = 0.04
     kept, vague = named("body_drag", "rotor_drag")

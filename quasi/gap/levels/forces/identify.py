@@ -281,10 +281,12 @@ def _may_be_form(
     test: Test, unknown: Test, sought: Sought, compared: np.ndarray, asked: Mapping[str, Effect]
 ) -> bool:  # fmt: skip
     """Whether a cause explains less than the share that an error of form may have of what an unknown one does on its
-    axes, see `quasi.gap.selection.Rules`."""
+    axes, see `quasi.gap.selection.Rules`; where the unknown one has no known form on an axis, of all that it does."""
     if test.offer.since != "changed" or unknown.offer.since != "changed" or test.offer.cause == unknown.offer.cause:
         return False
-    shared = share_on_axes(sought.study, compared, asked, unknown, test.offer.cause)
+    sized_by, own = asked[unknown.offer.cause].sized_by, asked[test.offer.cause].channels
+    formless = sized_by and not set(own or AXES) <= set(sized_by)
+    shared = 1.0 if formless else share_on_axes(sought.study, compared, asked, unknown, test.offer.cause)
     return test.wald < FORM_ERROR * unknown.wald * shared
 
 
