@@ -22,7 +22,7 @@ from quasi.gap.entries import (
 from quasi.gap.flights.covariates import EVERYWHERE, HEADING
 from quasi.gap.flights.evidence import RATE, Evidence
 from quasi.gap.flights.gathering import gather_all
-from quasi.gap.flights.level import Flown
+from quasi.gap.flights.level import Flown, cause_of
 from quasi.gap.levels import rotor_order
 from quasi.gap.levels.corrections import corrected_at_import
 from quasi.gap.levels.forces import polynomial_baseline
@@ -97,7 +97,10 @@ def diagnose(
     below, shifted = _of_levels_below(given, extension.gap)
     ties = _ties(given, forces, extension, [*below, *named], named)
     _add_levels_below(given)
-    taken = [*(e["id"] for e in [*below, *named]), *(i for tie in ties for i in tie["ids"])]
+    taken = [
+        *(e["id"] for e in [*below, *named]),
+        *(i for tie in ties if tie.get("explains", True) for i in tie["ids"]),
+    ]
     by_trim, tied_by_trim = trim_entries(given.case.trim, taken, {c for e in named for c in e["channels"]})
     trimmed = unnamed_change(given.case.trim, [*taken, *(e["id"] for e in by_trim)], bool(named or ties))
     entries = {"effects": [*below, *by_trim, *named], "ties": [*ties, *tied_by_trim]}
@@ -226,10 +229,12 @@ def _of_levels_below(given: Prepared, gap: Mapping[str, Any]) -> tuple[list[dict
     below = [lower_effect(e, level, gap) for level in LOWER_LEVELS for e in given.levels[level]["effects"]]
     below, shifted = of_late_telemetry(below)
     corrected = [e for e in below if corrected_at_import(e["id"], e["level"])]
+    pairs = [(tie, level) for level in LOWER_LEVELS for tie in given.levels[level]["ties"]]
+    corrected += [tie for tie, level in pairs if corrected_at_import(cause_of(tie), level)]
     excluded = tuple(AXES.index(a) for a in given.base.excluded)
     if corrected and not _correction_matters(given.case.model, given.lower, given.case.settings, excluded):
-        for effect in corrected:
-            effect["explains"] = False
+        for entry in corrected:
+            entry["explains"] = False
     return below + ([rotor_order.effect_of(given.order)] if given.order else []), shifted
 
 
@@ -250,7 +255,7 @@ def _ties(
     ties = add_battery(ties, case.effects)
     if found is None:
         return ties
-    taken = [*(e["id"] for e in effects), *(i for tie in ties for i in tie["ids"])]
+    taken = [*(e["id"] for e in effects), *(i for tie in ties if tie.get("explains", True) for i in tie["ids"])]
     taken += ["rotor_effectiveness"] if why_rotor_is_enough(case.trim) else []
     ties += constant_force_ties(
         given.groups["compared"], given.groups["reference"], extension.left, taken, case.effects,
@@ -425,7 +430,7 @@ def _correction_matters(
 
 
 def verdict_of(
-    effects: Sequence[Mapping[str, Any]], ties: Sequence[Any], left: Sequence[Any], unable: str = "",
+    effects: Sequence[Mapping[str, Any]], ties: Sequence[Mapping[str, Any]], left: Sequence[Any], unable: str = "",
     limited: bool = False, likely: bool = False,
 ) -> str:  # fmt: skip
     """In a word.
@@ -434,9 +439,9 @@ def verdict_of(
     limited  whether axes were left out or the extension makes something worse: then nothing is fully explained
     likely   whether the trim shows a change that is likelier than none and that nothing named answers: then nothing
              found is no agreement, and nothing is fully explained
-    A sensor finding that changes neither forces nor simulations ("explains" false) explains nothing.
+    A sensor finding or tie that changes neither forces nor simulations ("explains" false) explains nothing.
     """
-    explaining = [e for e in effects if e.get("explains", True)]
+    explaining, ties = ([e for e in entries if e.get("explains", True)] for entries in (effects, ties))
     if explaining:
         return "partly explained" if ties or left or unable or limited or likely else "explained"
     if ties:

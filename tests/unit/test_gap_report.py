@@ -21,8 +21,9 @@ from gap_documents import (
 from quasi.gap.levels.rollouts.open_loop import TYPICAL
 from quasi.gap.levels.sensors_and_drive import units_of
 from quasi.gap.report.figures import figures, select_panels, with_errors
+from quasi.gap.report.names import value_of
 from quasi.gap.report.page import page
-from quasi.gap.report.wording import confirmation_of, rollout_of, summary, value_of
+from quasi.gap.report.wording import confirmation_of, rollout_of, summary
 
 
 @pytest.mark.parametrize(

@@ -8,13 +8,14 @@ import pytest
 from test_constant_loads import worthy_flights
 
 from quasi.filtering.forces import low_pass
-from quasi.gap import verdict
+from quasi.gap import diagnosis, verdict
 from quasi.gap.base_model import Worth, worth_of
 from quasi.gap.catalogue import catalogue
 from quasi.gap.diagnosis import verdict_of
 from quasi.gap.effect import vehicle_of
 from quasi.gap.levels.forces.design import with_own_terms_anew
 from quasi.gap.levels.rollouts.confirmation import Confirmation, Settled
+from quasi.gap.levels.trim_evidence import is_unanswered
 from quasi.gap.losses import Loss, correcting_others, drive_losses, only_loss, reject_losing_causes, trim_is_usual
 from quasi.gap.statistics.candidates import Candidate
 from quasi.gap.verdict import drowned
@@ -106,6 +107,24 @@ def test_losses_and_excluded_axes_leave_nothing_fully_explained():
     assert verdict_of(named, [], []) == "explained"
     assert verdict_of(named, [], [], limited=True) == "partly explained"
     assert verdict_of([{"id": "mocap_delay", "explains": False}], [], []) == "agrees"
+
+
+@pytest.mark.parametrize("matters", [True, False])
+def test_a_tie_of_sensors_whose_correction_changes_nothing_explains_nothing(monkeypatch, matters):
+    pair = {"since": "always", "parameters": {}}
+    turned = {"ids": ["mocap_misalignment", "imu_misalignment"], **pair}
+    slow = {"ids": ["motor_lag", "command_delay"], **pair}  # of the drive, which import does not correct
+    given = SimpleNamespace(
+        levels={"sensors": {"effects": [], "ties": [turned]}, "drive": {"effects": [], "ties": [slow]}},
+        base=SimpleNamespace(excluded=()), case=SimpleNamespace(model=None, settings={}), lower=([], []), order=None,
+    )  # fmt: skip
+    monkeypatch.setattr(diagnosis, "_correction_matters", lambda *_: matters)
+    diagnosis._of_levels_below(given, {})
+    assert turned.get("explains", True) == matters and "explains" not in slow
+    assert verdict_of([], [turned], []) == ("partly explained" if matters else "agrees")
+    assert verdict_of([], [turned, slow], []) == "partly explained"
+    word = {"word": "open", "probability": {"healthy": 0.2, "cg_offset": 0.8}}
+    assert is_unanswered({"hover trim": word, "effects": [], "ties": [turned]}) != matters
 
 
 @pytest.fixture(scope="module")

@@ -22,10 +22,10 @@ from gap_documents import (
 
 from quasi.gap.effect import Vehicle, as_flown
 from quasi.gap.entries import truth
-from quasi.gap.report.names import alternatives
+from quasi.gap.report.names import alternatives, value_of
 from quasi.gap.report.next_steps import steps
 from quasi.gap.report.page import page
-from quasi.gap.report.wording import left_sentence, summary, value_of, words_of
+from quasi.gap.report.wording import left_sentence, summary, words_of
 
 
 @pytest.mark.parametrize(
@@ -286,6 +286,22 @@ def test_a_sensor_finding_that_changes_nothing_explains_nothing_and_says_so():
     assert found["verdict"] == "agrees"
     assert "changes neither forces nor simulations" in found["summary"]
     assert "changes neither forces nor simulations" not in document([TURN])["summary"]
+
+
+def test_a_tie_of_sensors_that_changes_nothing_follows_the_agreement():
+    tie = {
+        "ids": ["mocap_misalignment", "imu_misalignment"], "since": "always", "separability": 0.1, "tie_breaker": "",
+        "parameters": {"mocap_misalignment": {}, "imu_misalignment": {}},
+    }  # fmt: skip
+    assert document(ties=[tie])["verdict"] == "partly explained"
+    found = document(ties=[{**tie, "explains": False}])
+    assert found["verdict"] == "agrees" and document(ties=[tie])["summary"].startswith("Mocap misalignment or")
+    first, second = "Simulation and flights agree", "Mocap misalignment or imu misalignment: this data cannot decide"
+    assert found["summary"].startswith(first) and second in found["summary"]
+    assert "Correcting it changes neither forces nor simulations" in found["summary"]
+    named = document([TURN], ties=[{**tie, "explains": False}])
+    assert named["verdict"] == "explained"
+    assert "correcting mocap misalignment or imu misalignment changes neither" in named["summary"]
 
 
 def test_the_lag_of_one_rotor_is_said_of_that_rotor():

@@ -117,7 +117,8 @@ def probably_changed(trim: Mapping[str, Any]) -> bool:
 def is_unanswered(diagnosis: Mapping[str, Any]) -> bool:
     """Whether the trim shows a change that is likelier than none, and what is named is of sensors alone, which is no
     reason for it."""
-    named = [*diagnosis["ties"], *(e for e in diagnosis["effects"] if e.get("level") != "sensors")]
+    explaining = [t for t in diagnosis["ties"] if t.get("explains", True)]
+    named = [*explaining, *(e for e in diagnosis["effects"] if e.get("level") != "sensors")]
     return not named and probably_changed(diagnosis.get("hover trim") or {})
 
 

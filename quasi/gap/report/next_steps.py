@@ -7,8 +7,8 @@ from quasi.gap.effect import Effect
 from quasi.gap.flights.covariates import UNPLACED
 from quasi.gap.levels.corrections import corrected_at_import, uncorrected
 from quasi.gap.levels.trim_evidence import is_unanswered, is_undecided
-from quasi.gap.report.names import alternatives, listed, name_of
-from quasi.gap.report.wording import CHANNEL_NAMES, parameters_of, ranges_of, unasked, words_of
+from quasi.gap.report.names import alternatives, listed, name_of, parameters_of
+from quasi.gap.report.wording import CHANNEL_NAMES, ranges_of, unasked, words_of
 
 LISTED = 4  # names in a row, before the rest are counted
 VEHICLE = "the quadrotor's configuration"

@@ -10,7 +10,7 @@ from quasi.gap.effect import Effect
 from quasi.gap.flights.covariates import EVERYWHERE, UNITS_AT, UNPLACED
 from quasi.gap.levels.corrections import uncorrected
 from quasi.gap.levels.trim_evidence import is_unanswered, is_undecided
-from quasi.gap.report.names import alternatives, listed, name_of
+from quasi.gap.report.names import alternatives, listed, name_of, parameters_of, value_of
 from quasi.gap.report.shares import interval_of, percent, reaches_floor, separability_of, share_of, support_of
 
 CHANNEL_NAMES = {
@@ -59,25 +59,6 @@ def words_of(text: str, known: Mapping[str, Effect]) -> str:
     """A text with the ids in it as words; what is part of a longer name stays."""
     ids = [i for i in known if "_" in i]
     return re.sub(rf"(?<![\w/-])({'|'.join(ids)})(?![\w/-])", lambda m: name_of(m[0]), text) if ids else text
-
-
-def value_of(parameter: Mapping[str, Any]) -> str:
-    """A value ± its standard error with the unit, to the error's second digit."""
-    value, std, unit = parameter["value"], parameter.get("std") or 0.0, parameter.get("unit") or ""
-    unit = "" if unit == "1" else f" {unit}"
-    if not std > 0 or not math.isfinite(std):
-        return f"{value:.4g}{unit}"
-    power = math.floor(math.log10(max(abs(value), std)))
-    if power < -3:
-        digits = max(power - math.floor(math.log10(std)) + 1, 0)
-        return f"({value / 10.0**power:.{digits}f} ± {std / 10.0**power:.{digits}f})e{power}{unit}"
-    places = max(1 - math.floor(math.log10(std)), 0)
-    return f"{value:.{places}f} ± {std:.{places}f}{unit}"
-
-
-def parameters_of(parameters: Mapping[str, Mapping[str, Any]]) -> str:
-    """Parameters as a list in words."""
-    return ", ".join(f"{name_of(n)} = {value_of(p)}" for n, p in parameters.items())
 
 
 def flights_of(roles: Mapping[str, str], role: str) -> str:
@@ -245,7 +226,10 @@ def tie_sentence(tie: Mapping[str, Any]) -> str:
         )
     return (
         f"{names[:1].upper()}{names[1:]}: this data cannot decide which "
-        f"({separability_of(tie)})" + (f"; to settle it: {tie['tie_breaker']}" if tie["tie_breaker"] else "") + "."
+        f"({separability_of(tie)})"
+        + (f"; to settle it: {tie['tie_breaker']}" if tie["tie_breaker"] else "")
+        + "."
+        + ("" if tie.get("explains", True) else " Correcting it changes neither forces nor simulations.")
     )
 
 
@@ -387,7 +371,9 @@ def headline(diagnosis: Mapping[str, Any], known: Mapping[str, Effect]) -> str:
         lost = list(dict.fromkeys(name_of(i) for e in effects for i in _lost(e, diagnosis, known)))
         clauses = [f"{len(effects)} causes are named: {'; '.join(causes)}"]
         clauses.append(f"tested in their place and lost: {listed(lost)}" if lost else "")
-    idle = [name_of(e["id"]) for e in effects if not e.get("explains", True)]
+    idle = [
+        alternatives(e.get("ids") or [e["id"]]) for e in [*effects, *diagnosis["ties"]] if not e.get("explains", True)
+    ]
     clauses.append(f"correcting {listed(idle)} changes neither forces nor simulations" if idle else "")
     ties = [alternatives(t["ids"]) for t in diagnosis["ties"]]
     clauses.append(f"the data cannot decide whether {listed(ties)} is there" if ties else "")
@@ -397,8 +383,8 @@ def headline(diagnosis: Mapping[str, Any], known: Mapping[str, Effect]) -> str:
 
 
 def summed_up(diagnosis: Mapping[str, Any], known: Mapping[str, Effect]) -> list[str]:
-    """One sentence that says it all; then each named cause, each tie, what stays, what the extension does: a paragraph
-    each."""
+    """One sentence that says it all; then a paragraph on each named cause, each tie, what stays, what the extension
+    does."""
     roles, effects = diagnosis["flights"], diagnosis["effects"]
     limits = [s for s in [(diagnosis.get("base model") or {}).get("sentence")] if s]
     worse = [_sentence(loss["text"]) for loss in (diagnosis.get("losses") or [])[:1]]
@@ -415,7 +401,8 @@ def summed_up(diagnosis: Mapping[str, Any], known: Mapping[str, Effect]) -> list
         ]
     shown = {*(e["id"] for e in effects), "trim", "sensor_error"}
     texts += [_sentence(f["text"]) for f in diagnosis.get("findings", ()) if f["id"] in shown]
-    texts += [tie_sentence(t) for t in diagnosis["ties"]]
+    idle = [t for t in diagnosis["ties"] if not t.get("explains", True)]
+    texts += [tie_sentence(t) for t in diagnosis["ties"] if t not in idle]
     texts += [left_sentence(u) for u in diagnosis["unexplained"][:3]]
     if len(diagnosis["unexplained"]) > 3:
         texts.append(f"{len(diagnosis['unexplained']) - 3} more residuals are listed in the report.")
@@ -436,7 +423,7 @@ def summed_up(diagnosis: Mapping[str, Any], known: Mapping[str, Effect]) -> list
             f"{begin}, and nothing outside it, is both significant and at least "
             f"{100 * diagnosis['material share']:.0f} % of the error that could be removed."
         )
-    texts = [t for t in texts if t]
+    texts = [t for t in [*texts, *map(tie_sentence, idle)] if t]
     texts[1:1] = limits  # the first text is what a pilot reads first
     if not any("removable" in t or "noise floor" in t for t in texts):
         return texts
