@@ -144,3 +144,21 @@ def test_an_arm_of_all_flights_is_no_part_of_the_one_that_changed(monkeypatch):
         arm, std, _ = felt(flown, BASE, since, {}, 0.01, others)
         assert np.all(np.abs(arm - true) < 4.0 * std), (since, others, arm, std)
         assert np.all(std < 4e-3)
+
+
+@pytest.mark.parametrize("disturbed", [0.0, 0.02])
+def test_what_disturbs_the_compared_flights_alone_is_no_arm_of_all_flights(monkeypatch, disturbed):
+    arm, compared = np.array([0.012, -0.006, 0.01]), [False, False, True, True]
+    flights = {}
+    for seed, flag in enumerate(compared):
+        felt_there = arm - np.array([disturbed, -disturbed, 0.0]) * flag
+        clean = flight(seed)
+        flights[clean.key] = replace(clean, measured=clean.measured + sum(
+            v * column for v, column in zip(felt_there, imu_or_markers._columns(clean, None).values())
+        ))  # fmt: skip
+    monkeypatch.setattr(imu_or_markers, "_evidence", lambda flown, model: flights[flown.key])
+    flown = [SimpleNamespace(key=key, compared=flag) for key, flag in zip(flights, compared)]
+    value, std, own = felt(flown, BASE, "always", {}, 0.01)
+    points = weigh(arm, STD, value, std, own)
+    assert np.all(np.abs(value - arm) < 4.0 * std)
+    assert np.all(points.markers == 0.0) and (np.all(std < 4e-3) or disturbed)

@@ -207,7 +207,19 @@ def felt(
     given = _other_causes(study, asked, {n: e.limits(vehicle) for n, e in asked.items()}, compared, rate, [arm, *rest])
     mixed = study.mixed(range(len(seen)), compared)
     test = mixed.test(arm, [*given, *rest], [IMU] if since == "changed" else [])
-    return np.asarray(test.value), np.asarray(test.std), _left_by_terms(mixed, arm)
+    std = np.asarray(test.std)
+    if since == "always" and not rest and not compared.all():
+        std = std * _disagreement(mixed, arm, given)
+    return np.asarray(test.value), std, _left_by_terms(mixed, arm)
+
+
+def _disagreement(mixed: MixedModel, arm: Candidate, given: Sequence[Candidate]) -> np.ndarray:
+    """Factor (3,) on the standard errors of an arm that all flights should have alike: how many of its own the compared
+    and the reference flights are apart, where that is sure. What disturbs one of them passes for an arm there."""
+    sides = [arm._replace(since=since) for since in ("changed", "reference")]
+    one, other = (mixed.test(side, [*given, *(s for s in sides if s != side)], []) for side in sides)
+    apart = (np.asarray(one.value) - other.value) ** 2 / (np.asarray(one.std) ** 2 + np.asarray(other.std) ** 2)
+    return np.where(apart > DECIDED, np.sqrt(apart), 1.0)
 
 
 def _left_by_terms(mixed: MixedModel, arm: Candidate) -> np.ndarray:
