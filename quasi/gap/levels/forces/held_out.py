@@ -178,7 +178,7 @@ def best_wrong(
     study = moved(study, case.effects, case.vehicle, values)
     mixed, flown = study.witnessed(flights, case.compared), study.flown(case.compared)
     removable = np.maximum(np.maximum(old - floor, (1.0 - HOLDS) * old), 1e-300)
-    best, most = {}, 0.0
+    best, most = {}, float(np.finfo(float).eps) ** 0.5  # a cause that does nothing on these axes makes no difference
     for name in mixed.columns.causes:
         if name in right or name in tied:
             continue

@@ -130,20 +130,21 @@ def search(
             before, gone = float(sides(where)[0][k]), max(2.0 * slope - 1.0, 0.0) * here**2
             if gone > before:  # as above: more than there is
                 gone = before - left_by(joint, k, where)
-        placed = place.since == "changed" and where != EVERYWHERE
+        shown = here >= SHOWN_SHARE * usual
+        placed = shown and place.since == "changed" and where != EVERYWHERE
         if placed and _unusual(held, joint, place, vehicle) < 0.5 * gone:
             continue
         part = material(k, where, max(gone, 0.0), before, place.since)
         # what a model's own terms depend on may be their form, unless healthy flights do not show it
-        unjudged = here < SHOWN_SHARE * usual and (where not in OWN_COVARIATES or place.since == "changed")
+        unjudged = not shown and (where not in OWN_COVARIATES or place.since == "changed")
         unjudged = unjudged and usual**2 > UNHEARD * float(found_in[k])
         if part is not None or unjudged:
             reported += [(place, test)] if not unjudged else []
             if where != EVERYWHERE:
-                shown = [f for f, flag in zip(flights, compared) if flag] + list(held)
+                profiled = [f for f, flag in zip(flights, compared) if flag] + list(held)
                 rest = joint._replace(functions=[(p, v) for p, v in joint.functions if p != place])
-                left_of = [residual_of(f, rest, vehicle)[:, k] for f in shown]
-                table = profile(grounds.basis, place.choice, test.value, shown, left_of)
+                left_of = [residual_of(f, rest, vehicle)[:, k] for f in profiled]
+                table = profile(grounds.basis, place.choice, test.value, profiled, left_of)
                 profiles.append(table.assign(channel=AXES[k], where=where))
             say(k, where, None if unjudged else part, usual, since=place.since,
                 mostly=find_ranges(grounds.basis, place.choice, test.value, flights, compared),
