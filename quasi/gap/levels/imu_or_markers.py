@@ -34,7 +34,7 @@ from quasi.model.model import Model
 
 IMU, OFFSET, CG = "imu_lever_arm", "marker_offset", "cg_offset"
 DECIDED = 9.0  # difference of squared standard errors, three of them, from which one explanation wins
-TAKEN_UP = 0.1  # share of an arm's forces that the terms of a model may hold by chance, over the share that they leave
+TAKEN_UP = 0.1  # share of an arm's forces that the terms of a model may hold by chance
 ACROSS = 0.04  # share of the whole arm that they may make up along another axis
 LEAST_OWN = 1e-3  # of those forces that the terms leave, rms; below it rounding decides
 BREAKER = "sharp turns about all axes, compared with a model that was identified from other flights"
@@ -70,9 +70,11 @@ def weigh(
 
     between (3,) IMU minus tracked point, m; forces (3,) IMU minus cg, m. Component by component either the IMU or the
     markers are elsewhere, both where neither alone fits; an undecided component follows the decided ones.
-    own  see `felt`: an error of the model's terms counts the more, the less of the arm's forces is the arm's alone
+    own  see `felt`: where terms of the model can make up more of the arm's forces than is the arm's alone, their error
+    counts by the ratio of the two
     """
-    sharp = np.sqrt(forces_std**2 + (TAKEN_UP / own * between) ** 2 + ACROSS**2 * (between @ between))
+    made_up = np.maximum(np.sqrt(1.0 - np.square(own)) / own, 1.0)
+    sharp = np.sqrt(forces_std**2 + (TAKEN_UP * made_up * between) ** 2 + ACROSS**2 * (between @ between))
     only_imu = (between - forces) ** 2 / (between_std**2 + sharp**2)  # the best common value left free
     only_markers = (forces / sharp) ** 2
     both = (only_imu > DECIDED) & (only_markers > DECIDED)
