@@ -34,7 +34,7 @@ from study import ROOT, show_found
 
 EXAMPLE = ROOT / "examples/crazyflie"
 # flights of NanoBench by their row of the logbook
-REFERENCES, PLANTED, HELD_OUT = (2, 5, 7, 10, 12), (2, 5, 8, 11, 13), 2
+REFERENCES, PLANTED, HELD_OUT = (2, 5, 7, 10, 12), (3, 6, 8, 11, 13), 2
 COMMANDS = [f"motor_motor_m{i}" for i in range(1, 5)]
 GYRO, FORCE = ([f"imu_{kind}_{a}" for a in "xyz"] for kind in ("gyro", "acc"))
 PLACE, ATTITUDE = ["px", "py", "pz"], ["qx", "qy", "qz", "qw"]
