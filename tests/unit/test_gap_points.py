@@ -127,17 +127,21 @@ def test_forces_that_cannot_tell_leave_a_tie_with_both_ways_to_read_it(monkeypat
         assert tie["parameters"]["marker_offset"][axis]["value"] == -arm[axis]["value"]
 
 
-def test_an_arm_of_all_flights_is_no_part_of_the_one_that_changed(monkeypatch):
-    always, changed, compared = np.array([0.02, -0.01, 0.01]), np.array([0.0, 0.0, 0.008]), [False, False, True, True]
+def flown_with(monkeypatch, arm, beyond, compared):
+    """Flights whose IMU is off by an arm (3,) m, that of the compared ones by an arm beyond it."""
     flights = {}
     for seed, flag in enumerate(compared):
-        arm = always + changed * flag
         clean = flight(seed)
         flights[clean.key] = replace(clean, measured=clean.measured + sum(
-            v * column for v, column in zip(arm, imu_or_markers._columns(clean, None).values())
+            v * column for v, column in zip(arm + beyond * flag, imu_or_markers._columns(clean, None).values())
         ))  # fmt: skip
     monkeypatch.setattr(imu_or_markers, "_evidence", lambda flown, model: flights[flown.key])
-    flown = [SimpleNamespace(key=key, compared=flag) for key, flag in zip(flights, compared)]
+    return [SimpleNamespace(key=key, compared=flag) for key, flag in zip(flights, compared)]
+
+
+def test_an_arm_of_all_flights_is_no_part_of_the_one_that_changed(monkeypatch):
+    always, changed = np.array([0.02, -0.01, 0.01]), np.array([0.0, 0.0, 0.008])
+    flown = flown_with(monkeypatch, always, changed, [False, False, True, True])
     for since, true, others in (
         ("changed", changed, []), ("changed", changed, ["always"]), ("always", always, ["changed"]),
     ):  # fmt: skip
@@ -148,16 +152,8 @@ def test_an_arm_of_all_flights_is_no_part_of_the_one_that_changed(monkeypatch):
 
 @pytest.mark.parametrize("disturbed", [0.0, 0.02])
 def test_what_disturbs_the_compared_flights_alone_is_no_arm_of_all_flights(monkeypatch, disturbed):
-    arm, compared = np.array([0.012, -0.006, 0.01]), [False, False, True, True]
-    flights = {}
-    for seed, flag in enumerate(compared):
-        felt_there = arm - np.array([disturbed, -disturbed, 0.0]) * flag
-        clean = flight(seed)
-        flights[clean.key] = replace(clean, measured=clean.measured + sum(
-            v * column for v, column in zip(felt_there, imu_or_markers._columns(clean, None).values())
-        ))  # fmt: skip
-    monkeypatch.setattr(imu_or_markers, "_evidence", lambda flown, model: flights[flown.key])
-    flown = [SimpleNamespace(key=key, compared=flag) for key, flag in zip(flights, compared)]
+    arm, beyond = np.array([0.012, -0.006, 0.01]), disturbed * np.array([-1.0, 1.0, 0.0])
+    flown = flown_with(monkeypatch, arm, beyond, [False, False, True, True])
     value, std, own = felt(flown, BASE, "always", {}, 0.01)
     points = weigh(arm, STD, value, std, own)
     assert np.all(np.abs(value - arm) < 4.0 * std)
