@@ -1,5 +1,6 @@
 """A calibration applied to a flight at import: what a comparison of sensors with capture, or with the motion, found.
 
+The quadrotor's 'sensor calibration' is written alike, without the parts that have keys of their own.
 A document (schema "quasi.calibration/1") states the truth about the sensors; nothing in it means nothing to correct:
     imu       gyro scale, accelerometer scale (3: measured / true), gyro bias, accelerometer bias (3: measured minus
               true), misalignment (3: rotation vector that carries the assumed sensor axes onto the true ones), lever

@@ -77,10 +77,12 @@ def import_flight(
         capture = _on_board_time(capture, quadrotor, board)
     _refuse_more_rotors(board, where)
     ends = limits.clipped_ends(board, recording.metadata.get("units") or {})
-    if calibration is not None:
-        board, capture = calibrated_onboard(board, calibration), calibrated_capture(capture, marker, calibration)
-        if (calibration.get("imu") or {}).get("lever arm") and "imu position" not in quadrotor:
-            chosen["do onboard c.g. correction"] = False  # what hover would give is in the calibration
+    known = quadrotor.get("sensor calibration")
+    for document in (known, calibration):  # the second was found in flights that the first had corrected
+        if document:
+            board, capture = calibrated_onboard(board, document), calibrated_capture(capture, marker, document)
+    if ((calibration or {}).get("imu") or {}).get("lever arm") and "imu position" not in quadrotor:
+        chosen["do onboard c.g. correction"] = False  # what hover would give is in the calibration
     motion = board.motion()
     try:
         sync = _align(board, motion, capture, captured, chosen, where, notes)
@@ -124,6 +126,7 @@ def import_flight(
         "rotor telemetry": telemetry,
         "options": chosen,
         "calibration": calibration,
+        "sensor calibration": known,
         "notes": [*(captured.notes if captured else []), *recording.notes, *(sync.notes if sync else []), *notes],
     }
     metadata |= verdict(frame, board, metadata)

@@ -337,6 +337,8 @@ def _list_timing(m: Section) -> list[tuple[str, object]]:
             rows.append((name, f"unknown, assumed {frame.format_with_error(c['value'], c['std'], 'ms', 1e3)}"))
         elif name == "imu position" and c:
             rows.append(("IMU position", f"{c['value']} m, corrected"))
+    for part, quantities in (m.get("sensor calibration") or {}).items():
+        rows += [(f"{name} of the {part}", f"{value}, as configured, corrected") for name, value in quantities.items()]
     rotors = m.get("rotor telemetry")
     if rotors and rotors.get("age"):
         age = rotors["age"]

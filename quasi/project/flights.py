@@ -36,6 +36,7 @@ IMPORTING = (
     "optitrack marker cg offset",
     "motor poles",
     "imu position",
+    "sensor calibration",
     "idle RPM",
     "max RPM",
     "table columns",

@@ -154,6 +154,24 @@ def test_the_imu_is_moved_to_the_cg_by_rigid_body_kinematics(made):
     assert any("imu position" in n for n in unknown["notes"])
 
 
+def test_a_configured_calibration_is_applied_like_one_that_was_found_and_before_it(made):
+    asked, quadrotor, *_ = made
+    turned = {"capture": {"misalignment": [0.03, 0.0, -0.02]}}
+    scaled = {"imu": {"gyro scale": [1.03, 1.0, 0.98]}}
+    plain, _ = import_flight(asked, quadrotor, {})
+    found, _ = import_flight(asked, quadrotor, {}, turned)
+    known, about = import_flight(asked, quadrotor | {"sensor calibration": turned}, {})
+    pd.testing.assert_frame_equal(known, found)
+    assert about["calibration"] is None
+    assert about["sensor calibration"] == turned
+    apart = Rotation.from_euler("ZYX", plain[["yaw", "pitch", "roll"]]).inv() * Rotation.from_euler(
+        "ZYX", known[["yaw", "pitch", "roll"]]
+    )
+    np.testing.assert_allclose(np.median(apart.as_rotvec(), axis=0), [-0.03, 0.0, 0.02], atol=1e-3)
+    both, _ = import_flight(asked, quadrotor | {"sensor calibration": turned}, {}, scaled)
+    pd.testing.assert_frame_equal(both, import_flight(asked, quadrotor, {}, turned | scaled)[0])
+
+
 def test_alignment_figure_draws_both_sides(made):
     figure = alignment_figure(made[3], made[4])
     assert len(figure.axes) == 9

@@ -108,6 +108,8 @@ def _begun(effect: Mapping[str, Any]) -> str:
 def _corrected(effect: Mapping[str, Any]) -> str:
     """A fault of sensors or mounting is set right where flights are made or read: the gap's own flights already are."""
     how = CORRECT.get(effect["id"], "set it right where it arises")
+    if effect["since"] == "always" and VEHICLE not in how:
+        how += f", or copy it from 'reference' of the gap's calibration.json to 'sensor calibration' of {VEHICLE}"
     whose = (
         ", for flights like the compared ones only: the reference flights do not have it"
         if effect["since"] == "changed" and VEHICLE in how
