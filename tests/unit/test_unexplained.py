@@ -13,13 +13,14 @@ from scipy.signal import lfilter
 from quasi.airframe import read_airframe
 from quasi.gap.catalogue import catalogue
 from quasi.gap.effect import Effect, Parameter, vehicle_of
-from quasi.gap.flights.covariates import basis_of, places
+from quasi.gap.flights.covariates import ROOM_PLACE, basis_of, places
 from quasi.gap.flights.evidence import Evidence
 from quasi.gap.levels.forces import reproducibility as recurring
 from quasi.gap.levels.forces import unexplained
 from quasi.gap.levels.forces.error_reduction import wrench_score
 from quasi.gap.levels.forces.joint_fit import _less
 from quasi.gap.levels.forces.polynomial_baseline import polynomial
+from quasi.gap.levels.forces.smooth_functions import Place, _certain, _Sums
 from quasi.gap.levels.forces.unexplained import outdone, search
 from quasi.gap.statistics.candidates import Candidate
 from quasi.model.model import AXES
@@ -454,3 +455,16 @@ def test_no_function_is_offered_along_what_a_held_out_flight_does_not_know(groun
     vehicle, held = vehicle_of(ground[1]), [flown_with(90, gap[logged])]
     left = search(flights, [True] * 5, held, [], lambda f: f.residual, NOISE**2, vehicle, 0.01, 0.05)
     assert [(e["channel"], e["where"]) for e in left.entries] == [("Fz", "height")]
+
+
+def test_a_line_along_a_side_of_the_room_adds_nothing_to_a_polynomial_of_the_floor_that_holds_it(ground):
+    basis = basis_of([flight(ground, seed) for seed in (1, 2)])
+    floor = next(c for c in basis.choices if c.where == ROOM_PLACE and not c.at)
+    line = next(c for c in basis.choices if c.where == "room x" and len(c.which) == 1)
+    width = 1 + max(k for c in basis.choices for k in c.which)
+    columns = np.random.default_rng(3).standard_normal((200, 1 + 2 * width))
+    sums = [_Sums(columns.T @ columns / 200, 0, width, 14.0)] * 6
+    other = next(c for c in basis.choices if c.where == "height")
+    offered = [Place(0, c, "changed") for c in (line, other)]
+    certain = _certain(sums, [Place(0, floor, "changed")], offered)
+    assert certain[offered[0]] == 1.0 and 0.0 <= certain[offered[1]] < 1.0

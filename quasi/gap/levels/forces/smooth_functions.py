@@ -266,6 +266,9 @@ def _certain(sums: Sequence[_Sums], found: Sequence[Place], offered: Sequence[Pl
         rest, sizes = _without(total, known), {}
         for place in (p for p in offered if p.channel == channel):
             own = [c for c in columns(place) if c not in known]
+            if not own:
+                result[place] = 1.0  # what is found holds all of it
+                continue
             alike = [c - width for c in own if c - width not in known] if place.since == "changed" else []
             sizes.setdefault((len(alike), len(own)), []).append((place, [*alike, *own]))
         for (first, second), places in sizes.items():
