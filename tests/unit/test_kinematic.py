@@ -19,7 +19,7 @@ from quasi.gap.flights.level import Flown
 from quasi.gap.levels.sensors.columns import SIGMA, noise_free, weak_form, windows
 from quasi.gap.levels.sensors.findings import shaken, torn
 from quasi.gap.levels.sensors.identify import NORMAL_SPREAD, examine, size_of
-from quasi.gap.levels.sensors.products import blocks_of, dispersion, spread_of_slopes, whitener_of
+from quasi.gap.levels.sensors.products import alone, blocks_of, dispersion, spread_of_slopes, whitener_of
 from quasi.gap.statistics.candidates import Candidate
 from quasi.importing.resampling import resample_attitude
 
@@ -57,15 +57,15 @@ def flown(seed, compared=True, removed=0.0, onboard_gain=None, seconds=SECONDS, 
     t = np.arange(0.25, seconds, 1.0 / RATE)  # what the on-board clock shows
     real = t / (1.0 + clock)
 
-    def at(values):
-        return np.stack([np.interp(real, truth.t, v) for v in values.T], axis=1)
+    def at(values, late=0.0):
+        return np.stack([np.interp(real - late, truth.t, v) for v in values.T], axis=1)
 
     noise = fault.get("noise", 0.05)  # m/s2 of each sample; the gyro's goes with it
     gyro = at(gyro) + 0.2 * noise * rng.standard_normal((len(t), 3))
     folded = np.random.default_rng([seed, compared]).standard_normal((len(t), 3))
     folded = sosfiltfilt(butter(4, 8.0, fs=RATE, output="sos"), folded, axis=0)
     gyro = gyro + fault.get("folded", 0.0) * folded / folded.std(axis=0)
-    force = at(force) + noise * rng.standard_normal((len(t), 3))
+    force = at(force, fault.get("force_late", 0.0)) + noise * rng.standard_normal((len(t), 3))
     seen, place, turned = pose(seed, seconds)
     there = seen * (1.0 + removed)  # where import puts them on the on-board clock, with `removed` off
     late = pose(seed, seconds, fault.get("rotation_late", 0.0))[2]
@@ -303,6 +303,20 @@ def with_folded_line(flight, seed):
     for column, size in (*((c, 0.4) for c in ("ax", "ay", "az")), *((c, 0.02) for c in "pqr")):
         frame[column] += size * np.sin(phase + rng.uniform(0.0, 2.0 * np.pi))
     return replace(flight, imported=frame)
+
+
+@pytest.mark.parametrize("late", [-5e-4, 0.0, 5e-4])
+def test_an_accelerometer_filtered_otherwise_than_stated_is_no_late_rotation_and_no_scale(late):
+    """The rate of the felt force alone: a late rotation, tied to the gyro by the clock, was fitted instead with half
+    its size, and what that left looked like another scale where forces are drag."""
+    weak = weak_form(flown(1, force_late=late, seconds=30.0))
+    values, std = alone(blocks_of(weak, whitener_of(weak)).sum(axis=0), weak.names)
+    found = {n: (values[k], std[k]) for k, n in enumerate(weak.names)}
+    assert abs(found["mocap_delay.delay"][0]) < 5e-5 + 3.0 * found["mocap_delay.delay"][1]
+    assert abs(found["filters.delay"][0] + late) < 5e-5 + 3.0 * found["filters.delay"][1]
+    for axis in "xyz":
+        value, error = found[f"accelerometer_scale.{axis}"]
+        assert abs(value) < 4.0 * error
 
 
 def test_noise_of_few_lines_widens_the_errors_and_white_noise_does_not():

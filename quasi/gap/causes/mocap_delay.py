@@ -1,6 +1,7 @@
 """A captured rotation late behind the captured position.
 
-Rotations are compared with the gyro and positions with the accelerometer: one of these filtered later looks the same.
+Rotations are compared with the gyro and positions with the accelerometer: one of these filtered later, by more than
+filters that no header states, looks much the same.
 """
 
 from quasi.gap.effect import Effect, Parameter, Sensor

@@ -12,6 +12,7 @@ With R the captured attitude, f and w the measured specific force and rates, res
     lever arm r                                 d2/dt2 (R r)      since R (wdot x r + w x (w x r)) is just that
     late rotation h           h wdot            -h R (w x f)      and the cg, found from markers by that rotation
     late capture c            c wdot            c R fdot          a clock
+    early accelerometer c                       c R fdot          filtered less than stated
     fast clock k              k w               2 k (R f + g)     and a capture that comes ever earlier
 Sources: Titterton & Weston, Strapdown Inertial Navigation Technology, 2nd ed., 2004, chapters 3 and 12 (error models);
 Preisig & Rippin, Theory and application of the modulating function method, Computers Chem. Eng. 17, 1993 (weak form).
@@ -320,6 +321,7 @@ def weak_form(flown: Flown) -> Weak:
         add(f"room_tilt.{axis}", nothing, np.cross(unit[i], down))
     add("mocap_delay.delay", growth, -coriolis - _average(earth(np.cross(w, arm)), bend))
     add("clock.offset", growth, jerk)
+    add("filters.delay", nothing, jerk if turning else nothing)  # of the accelerometer alone, which no header states
     since = (t - t.mean())[:, None]
     add("drawn.clock", -since * growth, -since * jerk)
     add("clock_drift.rate", rates - since * growth, 2.0 * (_average(force, window) + down) - since * jerk)

@@ -30,6 +30,7 @@ SENSOR_CAUSES: dict[str, Effect] = {n: e for n, e in catalogue().items() if e.se
 CLOCK_OFFSET = 0.05  # s, between healthy flights
 # standard deviations of what differs between healthy flights, in the units of the columns
 NORMAL_SPREAD = {n: s for n, e in SENSOR_CAUSES.items() if (s := e.sensor.spread) is not None} | {"clock": CLOCK_OFFSET}
+NORMAL_SPREAD["filters"] = NORMAL_SPREAD["mocap_delay"]  # undeclared filters, of the accelerometer as of all else
 UNCAPTURED = {n: s for n, e in SENSOR_CAUSES.items() if (s := e.sensor.without_attitude) is not None}
 COMMON = {n: e.sensor.common for n, e in SENSOR_CAUSES.items() if e.sensor.common}
 LINEAR_RANGE = {n: e.sensor.linear for n, e in SENSOR_CAUSES.items() if e.sensor.linear is not None}
