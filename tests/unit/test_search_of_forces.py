@@ -196,3 +196,22 @@ def test_of_a_rotor_that_changed_otherwise_than_the_trim_shows_what_all_flights_
     named = [one("rotor_effectiveness", since, (k,)) for since in ("changed", "always") for k in (0, 1)]
     found = sought._standing([*named, one("mass", "changed", (0,))], {"mass": ()}, {"rotor_effectiveness": {0}})
     assert found == named[1:]
+
+
+def test_a_cause_that_errors_may_make_is_left_out_with_its_reason(ground, monkeypatch):  # noqa: F811
+    model = Model(ground[1].document, "test")
+    vehicle = vehicle_of(model)
+
+    def made(k):
+        plain = flight(ground, k)
+        whole = whole_of(EFFECTS["mass"], plain, vehicle, {"mass": 0.1 * vehicle.mass}) if k >= 4 else 0.0
+        return dataclasses.replace(plain, measured=plain.measured + whole)
+
+    flights, compared = [made(k) for k in range(8)], np.arange(8) >= 4
+    within = {n: e.limits(vehicle) for n, e in EFFECTS.items()}
+    monkeypatch.setattr(sought, "within_errors", lambda flights, compared, cause, *others: cause.effect.id == "mass")
+    found = sought.seek(flights, EFFECTS, vehicle, compared, 0.01, within)
+    assert "mass" not in [n.test.offer.cause for n in found.named] and "mass" not in found.contradicted
+    [(offer, why)] = [(o, w) for o, w in found.passed.items() if w == sought.BY_ERRORS]
+    assert offer == Candidate("mass", "changed", (0,))
+    assert offer in [t.offer for t in found.ranking]
