@@ -57,13 +57,11 @@ def seek(
 
     asked  the causes, by id; compared (F,) bool, False for reference flights; rate  family-wise false alarm rate
     within {cause: what is physical of its parameters' deviations}; against  what the trim in steady flight contradicts
-    A cause that its axes or the trim contradict, or that errors may make, is left out, and the others are sought
-    without it.
+    A cause that its axes or the trim contradict is left out, and the others are sought without it.
     """
     flown = as_flown(vehicle, [flight for flight, flag in zip(flights, compared) if flag])
     neutral: set[str] = set()  # curved causes whose slope where they were found does not show them any more
     contradicted: dict[str, tuple[Test, str]] = {}
-    by_errors: dict[str, Test] = {}
     barred: dict[str, frozenset[int]] = {}
     study = started(gather_design(flights, asked, vehicle), asked, vehicle, compared)
     values = {flag: dict(study.values[0]) for flag in (True, False)}  # of compared flights and of reference flights
@@ -75,7 +73,7 @@ def seek(
             study = moved(study, asked, vehicle, [values[bool(flag)] for flag in compared])
         mixed = study.witnessed(range(len(flights)), compared)
         mixed.columns = mixed.columns._replace(barred=barred)
-        lacking = (*study.lacking, *contradicted, *by_errors)
+        lacking = (*study.lacking, *contradicted)
         profiles = {n: Profile.of(e, within.get(n)) for n, e in asked.items()}
         rules = FORCES._replace(
             overlap=partial(share_in_common, study, compared), excess=partial(excess_of, study, compared)
@@ -96,22 +94,22 @@ def seek(
         elsewhere = any(_elsewhere(asked, curved[flag], values[flag]) for flag in (True, False))
         values = curved
         torn = _contradicted(causes, ties, asked, mixed, study, compared)
-        made = _made_by_errors(causes, study, compared)
-        alone, refused = ({}, {}) if torn or made else _against_trim(causes, against, selection.order)
+        alone, refused = ({}, {}) if torn else _against_trim(causes, against, selection.order)
         contradicted |= torn | refused
-        by_errors |= made
         barred = {**barred, **{n: which | barred.get(n, frozenset()) for n, which in alone.items()}}
-        if not (elsewhere or torn or made or alone or refused):
+        if not (elsewhere or torn or alone or refused):
             break
     ties = [(s, tie) for s, tie in ties if not any(t.offer.cause in contradicted for t in tie.tests)]
-    named = [n for n in _standing(named, contradicted, barred) if n.test.offer.cause not in by_errors]
+    # they are left out only here: in their place, a search without them would name what resembles them most
+    by_errors = _made_by_errors(causes, study, compared)
+    named = [n for n in _standing(named, contradicted, barred) if n.test.offer not in [t.offer for t in by_errors]]
     named, ties, twins = _with_twins(named, ties, contradicted, asked, mixed)
     contradicted = {name: why for name, why in contradicted.items() if name not in twins}
     named, ties = _with_weaker_rotors(named, ties, asked, mixed, flown)
     named, ties = _with_another_mass(named, ties, asked, mixed, flown)
     named, ties = _with_mass_or_thrust(named, ties, asked, mixed, study, compared)
-    level, ranking = selection.level, [*selection.ranking, *by_errors.values()]
-    passed = selection.rejected | {test.offer: BY_ERRORS for test in by_errors.values()}
+    level, ranking = selection.level, [*selection.ranking, *by_errors]
+    passed = selection.rejected | {test.offer: BY_ERRORS for test in by_errors}
     return Sought(study, mixed, values, named, ties, ranking, level, contradicted, passed, flown, rules)
 
 
@@ -203,14 +201,14 @@ def _contradicted(
     return torn
 
 
-def _made_by_errors(causes: Sequence[Cause], study: Design, compared: np.ndarray) -> dict[str, Test]:
-    """Causes that only one side of the equation of motion shows, with their tests; of healthy flights as above."""
+def _made_by_errors(causes: Sequence[Cause], study: Design, compared: np.ndarray) -> list[Test]:
+    """Tests of the causes that only one side of the equation of motion shows; of healthy flights as above."""
     since, flown = "always" if compared.all() else "changed", study.flown(compared)
-    made = {}
+    made = []
     for cause in causes:
         others = [c for c in causes if c is not cause]
         if cause.since == since and within_errors(study.flights, compared, cause, others, flown):
-            made[cause.effect.id] = cause.test
+            made.append(cause.test)
     return made
 
 
