@@ -19,6 +19,7 @@ from quasi.gap.flights.covariates import EVERYWHERE, where_in_words
 from quasi.gap.levels.forces import unexplained
 from quasi.gap.levels.forces.beyond_references import grown_by, left_beyond_references, less_usual_differences
 from quasi.gap.levels.forces.case import Case
+from quasi.gap.levels.forces.effect_size import drowned
 from quasi.gap.levels.forces.error_reduction import after, wrench_score
 from quasi.gap.levels.forces.findings import gusts
 from quasi.gap.levels.forces.held_out import made_of
@@ -343,15 +344,20 @@ def _next_to_unknown(case: Case, settled: Settled, found: Found, left: unexplain
 
 def _fainter_than_unknown(case: Case, settled: Settled, found: Found, left: unexplained.Left) -> Settled:
     """Without names and ties where the axis that shows them most, or any axis where theirs disagree, holds something
-    clearer that no cause explains. The functions that describe an unknown error have not its form: what they leave of
-    it may look like anything."""
+    clearer that no cause explains. What acts on forces or on moments alone, and no roll-out confirms, gives way to such
+    errors on all axes of these. The functions that describe an unknown error have not its form: what they leave of it
+    may look like anything."""
     unknown = _unknown(case, settled, found, left)
     tied = {tie.tests[0].offer: tie for _, tie in found.ties}
 
     def why(cause: Cause) -> str:
         (own, usual), tie = _power(cause, case), tied.get(cause.test.offer)
         chance, apart = (cause.test.p, cause.apart) if tie is None else (tie.tests[0].p, tie.apart)
-        axes = seen_in(cause.effect) if apart > 1.0 else [int(np.argmax(own / np.maximum(usual, 1e-300)))]
+        seen, axes = seen_in(cause.effect), [int(np.argmax(own / np.maximum(usual, 1e-300)))]
+        axes = seen if apart > 1.0 else axes
+        confirmed = tie is not None or settled.confirmations[cause.effect.id, cause.since].outcome == CONFIRMED
+        if not confirmed and len({k // 3 for k in seen}) == 1:
+            axes = [k for k in range(len(AXES)) if k // 3 == seen[0] // 3]
         for entry in unknown:
             channel, where, p = entry["channel"], entry["where"], entry["evidence"]["p"]
             axis = AXES.index(channel)
@@ -377,13 +383,6 @@ def _unknown(case: Case, settled: Settled, found: Found, left: unexplained.Left)
         return left.entries
     restless = gusts(found.study, case.compared, [c.effect.id for c in settled.causes])
     return with_errors_beyond_references(left.entries, restless, case, settled, found)
-
-
-def drowned(own: np.ndarray, usual: np.ndarray, unknown: np.ndarray) -> bool:
-    """Whether most of what a cause makes, in units of each axis' error, lies on axes where an unknown error is so much
-    larger that the error of its form would exceed the cause. Mean squares (6,)"""
-    parts = own / np.maximum(usual, 1e-300)
-    return bool(parts[own < FORM_ERROR * unknown].sum() > 0.5 * parts.sum())
 
 
 def _power(cause: Cause, case: Case) -> tuple[np.ndarray, np.ndarray]:

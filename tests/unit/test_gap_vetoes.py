@@ -14,11 +14,11 @@ from quasi.gap.catalogue import catalogue
 from quasi.gap.diagnosis import verdict_of
 from quasi.gap.effect import vehicle_of
 from quasi.gap.levels.forces.design import with_own_terms_anew
-from quasi.gap.levels.rollouts.confirmation import Confirmation, Settled
+from quasi.gap.levels.forces.effect_size import drowned
+from quasi.gap.levels.rollouts.confirmation import UNJUDGED, Confirmation, Settled
 from quasi.gap.levels.trim_evidence import is_unanswered
 from quasi.gap.losses import Loss, correcting_others, drive_losses, only_loss, reject_losing_causes, trim_is_usual
 from quasi.gap.statistics.candidates import Candidate
-from quasi.gap.verdict import drowned
 from quasi.model.model import AXES, Model
 
 
@@ -276,6 +276,23 @@ def test_a_name_or_tie_gives_way_to_something_clearer_on_its_axis_that_no_cause_
         assert {name: text for name, (_, text) in found.contradicted.items()} == dict.fromkeys(
             ("torque_factor", "inertia"), why
         )
+
+
+@pytest.mark.parametrize(
+    ("channels", "outcome", "stands"),
+    [(("Mz",), UNJUDGED, False), (("Mz",), verdict.CONFIRMED, True), (("Fz", "Mz"), UNJUDGED, True)],
+)
+def test_a_moment_that_no_roll_out_confirms_gives_way_to_what_is_clearer_on_another_axis(
+    monkeypatch, channels, outcome, stands
+):
+    """A guard that takes thrust from one rotor in fast flight had been a rotor with more inertia as well."""
+    named = shown_by("rotor_acceleration_torque", 1e-4, 5)
+    named.effect.channels = channels
+    settled = Settled([named], [], {(named.effect.id, "changed"): Confirmation(outcome, 1.0, 0.1, 5.0)}, {}, [])
+    monkeypatch.setattr(verdict, "_power", lambda c, case: (np.eye(6)[c.axis], np.ones(6)))
+    entry = {"channel": "Mx", "where": "forward speed", "since": "changed", "evidence": {"p": 1e-36}, "size": 1.0}
+    left, found = SimpleNamespace(entries=[entry]), SimpleNamespace(ties=[], stand_ins=[])
+    assert bool(verdict._fainter_than_unknown(None, settled, found, left).causes) is stands
 
 
 @pytest.mark.parametrize(("size", "stands"), [(0.1, True), (0.5, False)])

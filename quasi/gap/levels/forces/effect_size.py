@@ -11,6 +11,7 @@ from quasi.gap.flights.covariates import DIRECTED, HEADING, places
 from quasi.gap.flights.evidence import Evidence
 from quasi.gap.flights.ranges import MOSTLY
 from quasi.gap.materiality import Cause
+from quasi.gap.selection import FORM_ERROR
 from quasi.model.model import AXES
 
 EFFECT_CELLS = 16  # along a place, each with as many rows
@@ -115,3 +116,10 @@ def _correlation(cause: Cause) -> np.ndarray:
         return np.eye(len(cause.value))
     scale = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
     return covariance / np.outer(scale, scale)
+
+
+def drowned(own: np.ndarray, usual: np.ndarray, unknown: np.ndarray) -> bool:
+    """Whether most of what a cause makes, in units of each axis' error, lies on axes where an unknown error is so much
+    larger that the error of its form would exceed the cause. Mean squares (6,)"""
+    parts = own / np.maximum(usual, 1e-300)
+    return bool(parts[own < FORM_ERROR * unknown].sum() > 0.5 * parts.sum())
